@@ -1,0 +1,1 @@
+"""Ground-truth pose alignment and depth correction: pure functions and the edit session."""

@@ -1,0 +1,1 @@
+"""The `inspector` command and the browser application on viser."""

@@ -1,0 +1,1 @@
+"""The pipeline: BOP data, rendering, pose estimators, recording and evaluation (no viewer code)."""

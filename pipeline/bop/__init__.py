@@ -1,0 +1,1 @@
+"""The BOP format and the BOP benchmark: data on disk, pose errors, scores. Millimetres stay in here."""

@@ -1,0 +1,29 @@
+"""What all tests share: the real data (skipped with a reason where it is absent), and shape checks on."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """The folder of real data; tests that use it are skipped where it is absent."""
+    folder = Path(os.environ.get("INSPECTOR_SHARED_DATA", REPOSITORY.parent / "shared" / "data"))
+    if not folder.is_dir():
+        pytest.skip(f"real data absent: {folder} (set INSPECTOR_SHARED_DATA)")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def lmo(shared_data: Path) -> Path:
+    """Root of the LM-O subset: 50 test images of scene 2, depth for image 3 only, no gt_info, no masks."""
+    return shared_data / "lmo"
+
+
+@pytest.fixture(scope="session")
+def ycbv(shared_data: Path) -> Path:
+    """Root of the YCB-V subset: scene 1 with ground truth, scene 901 without."""
+    return shared_data / "ycbv"
