@@ -1,0 +1,180 @@
+"""The 3D window of one browser, described by what should be in it: only what changed is sent.
+
+All coordinates are those of the image's camera (OpenCV: x right, y down, z forward), in metres.
+"""
+
+from collections.abc import Callable, Hashable, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import viser
+from jaxtyping import Float, Int, UInt8
+
+from inspector.viewport import plane_of
+from pipeline.scene import Camera
+
+
+@dataclass(frozen=True)
+class Picture:
+    """An image on the plane at depth `z` that the camera sees exactly as its image."""
+
+    token: Hashable
+    """Equal tokens mean equal pixels: they are neither made nor sent again."""
+    pixels: Callable[[], UInt8[np.ndarray, "h w c"]]
+    """RGB, or RGBA with straight alpha; of any resolution."""
+    camera: Camera
+    z: float
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """A triangle mesh of one colour."""
+
+    token: Hashable
+    vertices: Callable[[], Float[np.ndarray, "v 3"]]
+    faces: Int[np.ndarray, "f 3"]
+    color: tuple[int, int, int]
+    opacity: float
+    wireframe: bool = False
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """Coloured points."""
+
+    token: Hashable
+    points: Callable[[], tuple[Float[np.ndarray, "n 3"], UInt8[np.ndarray, "n 3"]]]
+    """Positions and colours."""
+    size: float
+    """Metres."""
+
+
+@dataclass(frozen=True)
+class Lines:
+    """Line segments of one colour."""
+
+    token: Hashable
+    segments: Float[np.ndarray, "n 2 3"]
+    color: tuple[int, int, int]
+    width: float = 2.0
+    """Screen pixels."""
+
+
+Node = Picture | Mesh | Cloud | Lines
+
+
+class _Shown(NamedTuple):
+    node: Node
+    handle: Any
+
+
+class Canvas:
+    """Keeps the nodes of one browser's scene equal to the last drawing; use from one thread at a time."""
+
+    def __init__(self, client: viser.ClientHandle) -> None:
+        self._client = client
+        self._shown: dict[str, _Shown] = {}
+
+    def show(self, drawing: Mapping[str, Node]) -> None:
+        """Make the scene hold exactly these nodes; names that stay are updated in place."""
+        with self._client.atomic():
+            for name in self._shown.keys() - drawing.keys():
+                self._shown.pop(name).handle.remove()
+            for name, node in drawing.items():
+                self._put(name, node)
+
+    def set_visible(self, name: str, visible: bool) -> None:
+        """Hide or show a node that is there, for blinking."""
+        if name in self._shown:
+            self._shown[name].handle.visible = visible
+
+    def _put(self, name: str, node: Node) -> None:
+        shown = self._shown.get(name)
+        if shown is not None and type(shown.node) is type(node) and shown.node.token == node.token:
+            same_look = _looks(shown.node) == _looks(node)
+            if same_look or isinstance(node, Picture):
+                if not same_look:
+                    _place(shown.handle, node)
+                shown.handle.visible = True
+                self._shown[name] = _Shown(node, shown.handle)
+                return
+        # Adding under the same name replaces the node in the browser without a gap.
+        self._shown[name] = _Shown(node, _ADD[type(node)](self._client.scene, f"/{name}", node))
+
+
+def _looks(node: Node) -> tuple:
+    """What of a node besides its token decides how it is shown."""
+    match node:
+        case Picture():
+            return (node.z, node.camera.width, node.camera.height, node.camera.K.tobytes())
+        case Mesh():
+            return (node.color, node.opacity, node.wireframe)
+        case Cloud():
+            return (node.size,)
+        case Lines():
+            return (node.color, node.width)
+
+
+def _place(handle: Any, node: Node) -> None:
+    assert isinstance(node, Picture)
+    handle.render_width, handle.render_height, handle.position = plane_of(node.camera, node.z)
+
+
+def _add_picture(scene: viser.SceneApi, name: str, node: Picture) -> viser.ImageHandle:
+    pixels = node.pixels()
+    width, height, position = plane_of(node.camera, node.z)
+    transparent = pixels.shape[2] == 4
+    return scene.add_image(
+        name,
+        pixels,
+        width,
+        height,
+        format="png" if transparent else "jpeg",
+        jpeg_quality=None if transparent else 95,
+        cast_shadow=False,
+        receive_shadow=False,
+        position=position,
+    )
+
+
+def _add_mesh(scene: viser.SceneApi, name: str, node: Mesh) -> viser.MeshHandle:
+    return scene.add_mesh_simple(
+        name,
+        node.vertices().astype(np.float32),
+        node.faces.astype(np.uint32),
+        color=node.color,
+        opacity=None if node.opacity >= 1 else node.opacity,
+        wireframe=node.wireframe,
+        side="double",
+        cast_shadow=False,
+        receive_shadow=False,
+    )
+
+
+def _add_cloud(scene: viser.SceneApi, name: str, node: Cloud) -> viser.PointCloudHandle:
+    points, colors = node.points()
+    # float16 would round points at 1 m to half a millimetre.
+    return scene.add_point_cloud(
+        name,
+        points.astype(np.float32),
+        colors,
+        point_size=node.size,
+        point_shape="rounded",
+        precision="float32",
+        point_shading="flat",
+    )
+
+
+def _add_lines(scene: viser.SceneApi, name: str, node: Lines) -> viser.LineSegmentsHandle:
+    return scene.add_line_segments(
+        name, node.segments.astype(np.float32), node.color, thickness=node.width, thickness_units="screen"
+    )
+
+
+_ADD: dict[type, Callable[[viser.SceneApi, str, Any], Any]] = {
+    Picture: _add_picture,
+    Mesh: _add_mesh,
+    Cloud: _add_cloud,
+    Lines: _add_lines,
+}

@@ -1,0 +1,256 @@
+"""What the picture of a row consists of: the image with its overlays, or the scene in 3D."""
+
+from collections.abc import Callable, Hashable
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from inspector import layers
+from inspector.canvas import Cloud, Lines, Mesh, Node, Picture
+from inspector.frame import ROLES, Frame, Role
+from inspector.layers import ColorScale, Rgba
+from inspector.recorded import layer_of
+from inspector.selection import Display, Selection
+from pipeline import geometry
+from pipeline.scene import Model
+
+COLORS: dict[Role, tuple[int, int, int]] = {
+    "ground_truth": layers.GROUND_TRUTH,
+    "estimate": layers.ESTIMATE,
+    "compared": layers.COMPARED,
+}
+WITNESS_COLORS = ((255, 60, 60), (255, 200, 0))
+"""Of the lines between the vertices that decide MSSD and MSPD."""
+BEHIND = 5.0
+"""Metres; the image plane stands at least this far away, behind everything."""
+FRUSTUM = 0.15
+"""Length of the camera's frustum in 3D, as a share of the distance to the object."""
+CLOUD_POINTS = 200_000
+"""More points than this are thinned out."""
+DIFFERENCE_LIMIT = 0.02
+"""Metres at which the colours of depth differences saturate."""
+
+
+class Drawing(NamedTuple):
+    """Nodes for the canvas, and what the colours of the layers mean."""
+
+    nodes: dict[str, Node]
+    scales: tuple[ColorScale, ...]
+    warnings: tuple[str, ...]
+
+
+def draw(frame: Frame, selection: Selection) -> Drawing:
+    """Describe the picture of a row in the view that is chosen."""
+    return _Draughtsman(frame, selection).draw()
+
+
+class _Draughtsman:
+    """Collects the nodes of one picture."""
+
+    def __init__(self, frame: Frame, selection: Selection) -> None:
+        self.frame = frame
+        self.display: Display = selection.display
+        self.image_view = selection.view == "image"
+        self.nodes: dict[str, Node] = {}
+        self.scales: list[ColorScale] = []
+        self.warnings: list[str] = []
+        poses = [pose for role in COLORS if (pose := frame.pose(role)) is not None and np.isfinite(pose).all()]
+        depths = [float(pose[2, 3]) for pose in poses if pose[2, 3] > 0] or [1.0]
+        self.nearest, self.farthest = min(depths), max(depths)
+
+    def draw(self) -> Drawing:
+        self._image()
+        self._depth()
+        self._masks()
+        self._recorded()
+        self._models()
+        if self.display.witness:
+            self._witness()
+        if not self.image_view:
+            self._scene()
+        return Drawing(self.nodes, tuple(self.scales), tuple(self.warnings))
+
+    def _picture(
+        self, name: str, token: Hashable, pixels: Callable[[], UInt8[np.ndarray, "h w c"]], level: float
+    ) -> None:
+        """Add a layer: behind everything in 2D, on the image plane of the small frustum in 3D."""
+        z = max(BEHIND, 2 * self.farthest) if self.image_view else FRUSTUM * self.nearest
+        self.nodes[name] = Picture((*self._about, name, token), pixels, self.frame.camera, z * (1 - 2e-4 * level))
+
+    @property
+    def _about(self) -> tuple:
+        frame = self.frame
+        return (frame.row, frame.method, frame.compare, frame.assessed)
+
+    def _image(self) -> None:
+        rgb = self.frame.image.rgb
+        if rgb is None:
+            self.warnings.append("this image has no colour or gray channel")
+        if self.display.image and rgb is not None:
+            self._picture("image", (), lambda: rgb, 0)
+        elif self.image_view:
+            size = (self.frame.camera.height, self.frame.camera.width, 3)
+            self._picture("image", "black", lambda: np.zeros(size, np.uint8), 0)
+
+    def _depth(self) -> None:
+        if self.display.depth == "off":
+            return
+        depth = self.frame.image.depth
+        if depth is None:
+            self.warnings.append(f"no depth in this image: the layer '{self.display.depth}' is empty")
+            return
+        layer, scale = _depth_overlay(self.frame, self.display)
+        self._picture("depth", self.display.depth, partial(layers.upsampled, layer, self.frame.fineness), 1)
+        self.scales.append(scale)
+
+    def _masks(self) -> None:
+        if not self.display.masks:
+            return
+        masks = [m for gt in self.frame.annotations if (m := self.frame.visible_mask(gt.index)) is not None]
+        if not masks:
+            self.warnings.append("the dataset has no masks for this image (inspector doctor says more)")
+            return
+        self._picture("masks", (), lambda: _mask_overlay(masks, self.frame.fineness), 2)
+
+    def _recorded(self) -> None:
+        path = self.display.recorded
+        if not path:
+            return
+        reader = self.frame.workspace.recording(self.frame.key)
+        if reader is None or path not in reader.kinds():
+            self.warnings.append(f"not recorded for this image: {path}")
+            return
+        size = (self.frame.camera.width, self.frame.camera.height)
+        layer, scale = layer_of(reader.read(path), size, self.display.opacity)
+        token = (path, self.display.opacity)
+        self._picture("recorded", token, partial(layers.upsampled, layer, self.frame.fineness), 2.5)
+        if scale is not None:
+            self.scales.append(scale)
+
+    def _models(self) -> None:
+        display, frame = self.display, self.frame
+        roles: list[Role] = [role for role in ROLES if getattr(display, role) and frame.pose(role) is not None]
+        if display.others:
+            self._others()
+        if display.style in ("wireframe", "shaded") or not self.image_view:
+            wireframe = display.style == "wireframe"
+            for role in roles:
+                self._mesh(role, frame.model, frame.pose(role), COLORS[role], display.opacity, wireframe)
+        if not self.image_view or display.style in ("wireframe", "shaded"):
+            return
+        token = (display.style, display.opacity)
+        if display.wipe and {"ground_truth", "estimate"} <= set(roles):
+            self._picture("estimate", (*token, display.wipe_position), self._wiped, 4)
+            roles = [role for role in roles if role not in ("ground_truth", "estimate")]
+        for level, role in enumerate(roles):
+            self._picture(role, token, partial(self._silhouette, role), 4 + level)
+
+    def _others(self) -> None:
+        if self.image_view and self.frame.others:
+            self._picture("others", self.display.style, self._other_contours, 3)
+        for position, other in enumerate(self.frame.others if not self.image_view else ()):
+            self._mesh(f"others/{position}", other.model, other.camera_from_model, layers.OTHERS, 0.6, False)
+
+    def _mesh(
+        self, name: str, model: Model, pose: Float[np.ndarray, "4 4"] | None, color, opacity: float, wireframe: bool
+    ) -> None:
+        if pose is None or not np.isfinite(pose).all():
+            return
+        # Vertices are moved here: a quaternion could not carry rotations that are not orthonormal.
+        vertices = partial(geometry.transform_points, pose, model.vertices)
+        token = (model.obj_id, pose.tobytes())
+        self.nodes[f"models/{name}"] = Mesh(token, vertices, model.faces, color, opacity, wireframe)
+
+    def _silhouette(self, role: Role) -> Rgba:
+        mask = self.frame.silhouette(role)
+        assert mask is not None
+        fill = 0.45 * self.display.opacity if self.display.style == "fill" else 0.0
+        thickness = self.frame.fineness
+        return layers.silhouette(mask, COLORS[role], fill=fill, opacity=self.display.opacity, thickness=thickness)
+
+    def _wiped(self) -> Rgba:
+        return layers.wiped(self._silhouette("estimate"), self._silhouette("ground_truth"), self.display.wipe_position)
+
+    def _other_contours(self) -> Rgba:
+        layer = layers.blank(self.frame.fine_camera.height, self.frame.fine_camera.width)
+        for mask in self.frame.other_silhouettes:
+            layers.paint(layer, layers.contour_of(mask), layers.OTHERS, 0.8)
+        return layer
+
+    def _witness(self) -> None:
+        """Draw the vertices that decide MSSD and MSPD, from the ground truth to the estimate."""
+        found, truth, witnesses = (
+            self.frame.pose("estimate"),
+            self.frame.pose("ground_truth"),
+            self.frame.witnesses("estimate"),
+        )
+        if found is None or truth is None or witnesses is None:
+            return
+        model = self.frame.model
+        for name, witness, color in zip(("mssd", "mspd"), witnesses, WITNESS_COLORS, strict=True):
+            if witness.vertex < 0:
+                continue
+            vertex = model.vertices[witness.vertex]
+            at_truth = geometry.transform_points(truth @ model.symmetries[witness.symmetry], vertex)
+            ends = np.stack([at_truth, geometry.transform_points(found, vertex)])
+            if self.image_view and (ends[:, 2] > 0).all():  # pulled towards the camera, so that no model hides them
+                ends = ends / ends[:, 2:] * 0.2
+            self.nodes[f"witness/{name}"] = Lines((name, ends.tobytes()), ends[None], color, width=3.0)
+
+    def _scene(self) -> None:
+        frame = self.frame
+        depth = frame.image.depth
+        if self.display.points and depth is not None:
+            self.nodes["points"] = Cloud(
+                (frame.key, "points"), partial(_cloud, frame), size=1.5 * self.nearest / frame.camera.K[0, 0]
+            )
+        elif self.display.points:
+            self.warnings.append("no depth in this image: no point cloud")
+        corners = _corners(frame, FRUSTUM * self.nearest)
+        self.nodes["frustum"] = Lines(corners.tobytes(), corners, (150, 150, 150), width=1.5)
+        for im_id, camera_from_other in frame.neighbours:
+            segments = geometry.transform_points(camera_from_other, _corners(frame, 0.5 * FRUSTUM * self.nearest))
+            self.nodes[f"cameras/{im_id}"] = Lines(segments.tobytes(), segments, (110, 130, 160), width=1.0)
+
+
+def _depth_overlay(frame: Frame, display: Display) -> tuple[Rgba, ColorScale]:
+    depth = frame.image.depth
+    assert depth is not None
+    if display.depth == "depth":
+        return layers.depth_layer(depth, display.opacity)
+    role: Role = "ground_truth" if display.depth.endswith("truth") else "estimate"
+    rendering = frame.rendered(role)
+    rendered = rendering.depth if rendering is not None else np.zeros_like(depth)
+    valid = (depth > 0) & (rendered > 0)
+    return layers.difference_layer(depth - rendered, valid, DIFFERENCE_LIMIT, display.opacity)
+
+
+def _mask_overlay(masks: list, fineness: int) -> Rgba:
+    layer = layers.blank(*masks[0].shape)
+    for mask, color in zip(masks, layers.label_colors(len(masks)), strict=True):
+        layers.paint(layer, mask, color, 0.45)
+        layers.paint(layer, layers.contour_of(mask), color, 1.0)
+    return layers.upsampled(layer, fineness)
+
+
+def _cloud(frame: Frame) -> tuple[Float[np.ndarray, "n 3"], UInt8[np.ndarray, "n 3"]]:
+    depth, rgb = frame.image.depth, frame.image.rgb
+    assert depth is not None
+    points, measured = geometry.points_from_depth(frame.camera.K, depth)
+    colors = rgb[measured] if rgb is not None else np.full((len(points), 3), 170, np.uint8)
+    if len(points) > CLOUD_POINTS:  # at random: every n-th point would leave stripes
+        kept = np.random.default_rng(0).choice(len(points), CLOUD_POINTS, replace=False)
+        points, colors = points[kept], colors[kept]
+    return points, colors
+
+
+def _corners(frame: Frame, z: float) -> Float[np.ndarray, "8 2 3"]:
+    """Edges of the camera's frustum up to depth z."""
+    w, h = frame.camera.width, frame.camera.height
+    pixels = np.array([[-0.5, -0.5], [w - 0.5, -0.5], [w - 0.5, h - 0.5], [-0.5, h - 0.5]])
+    corners = geometry.unproject(frame.camera.K, pixels, np.full(4, z))
+    edges = [(np.zeros(3), corner) for corner in corners]
+    edges += [(corners[i], corners[(i + 1) % 4]) for i in range(4)]
+    return np.array(edges)

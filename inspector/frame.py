@@ -1,0 +1,219 @@
+"""All that is known about one row of the target table: loaded and rendered when first asked for, and then kept."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from inspector.layers import supersampled
+from inspector.selection import RowKey, Selection
+from inspector.workspace import Workspace
+from pipeline.bop.errors import Mspd, Mssd, Pose, mspd, mssd
+from pipeline.bop.vsd import TAUS, Vsd, vsd
+from pipeline.exceptions import InputError
+from pipeline.geometry import distance_from_depth, inverse
+from pipeline.rendering import Rendering, render, render_depths
+from pipeline.scene import Camera, GroundTruth, Image, ImageKey, Model, PoseEstimate
+
+Role = Literal["ground_truth", "estimate", "compared"]
+ROLES: tuple[Role, ...] = ("ground_truth", "estimate", "compared")
+
+FINE_PIXELS = 1_000_000
+"""Overlays of images with up to this many pixels are drawn at twice the resolution."""
+
+
+NEIGHBOURS_SHOWN = 100
+"""Cameras of other images drawn in the 3D view; more are thinned out."""
+
+
+class Instance(NamedTuple):
+    """An object in the image besides the selected one."""
+
+    label: str
+    model: Model
+    camera_from_model: Float[np.ndarray, "4 4"]
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One row of the table for one browser; nothing in it changes, so it can be shared between threads."""
+
+    workspace: Workspace
+    row: RowKey
+    method: int
+    compare: int | None
+    assessed: tuple[bool, bool]
+    """Whether the rows of the method and of the compared one are ready: before that their estimates are unknown."""
+
+    @property
+    def key(self) -> ImageKey:
+        """The image of the row."""
+        return ImageKey(self.row.scene_id, self.row.im_id)
+
+    @cached_property
+    def image(self) -> Image:
+        """The image with its camera; InputError if it cannot be read."""
+        return self.workspace.image(self.key)
+
+    @property
+    def camera(self) -> Camera:
+        """Camera of the image."""
+        return self.image.camera
+
+    @cached_property
+    def model(self) -> Model:
+        """The object's model as used in evaluation."""
+        return self.workspace.dataset.model(self.row.obj_id)
+
+    @cached_property
+    def ground_truth(self) -> GroundTruth | None:
+        """The annotated instance; None for a row that has none."""
+        if self.row.gt_index < 0:
+            return None
+        return next((gt for gt in self.annotations if gt.index == self.row.gt_index), None)
+
+    @cached_property
+    def annotations(self) -> tuple[GroundTruth, ...]:
+        """All annotated instances of the image."""
+        return self.workspace.dataset.ground_truth(self.key)
+
+    @cached_property
+    def estimate(self) -> PoseEstimate | None:
+        """The estimate of the method under inspection that is held against the row."""
+        return self.workspace.estimate_of(self.method, self.row)
+
+    @cached_property
+    def compared(self) -> PoseEstimate | None:
+        """The estimate of the method compared with."""
+        return None if self.compare is None else self.workspace.estimate_of(self.compare, self.row)
+
+    @cached_property
+    def others(self) -> tuple[Instance, ...]:
+        """All other annotated instances of the image; where nothing is annotated, all other estimates."""
+        found = []
+        for gt in self.annotations:
+            if gt.index != self.row.gt_index:
+                found.append((f"object {gt.obj_id}", gt.obj_id, gt.camera_from_model))
+        if not found and self.workspace.methods:
+            for estimate in self.workspace.methods[self.method].results.estimates(self.key):
+                if self.estimate is None or estimate.camera_from_model is not self.estimate.camera_from_model:
+                    found.append((f"object {estimate.obj_id}", estimate.obj_id, estimate.camera_from_model))
+        return tuple(self._with_model(*item) for item in found if self.has_model(item[1]))
+
+    def pose(self, role: Role) -> Float[np.ndarray, "4 4"] | None:
+        """`camera_from_model` in metres of the ground truth or an estimate; None where there is none."""
+        holder = getattr(self, role)
+        return None if holder is None else holder.camera_from_model
+
+    @property
+    def fineness(self) -> int:
+        """How many times finer than the image its overlays are drawn."""
+        return 2 if self.camera.width * self.camera.height <= FINE_PIXELS else 1
+
+    @cached_property
+    def fine_camera(self) -> Camera:
+        """The image's camera with the pixels of the overlays."""
+        return supersampled(self.camera, self.fineness)
+
+    @cached_property
+    def _silhouettes(self) -> dict[Role, Bool[np.ndarray, "h w"]]:
+        poses: dict[Role, Pose] = {role: pose for role in ROLES if (pose := self.pose(role)) is not None}
+        return {role: render(self.model, self.fine_camera, pose, pixel_center=0.0).mask for role, pose in poses.items()}
+
+    @cached_property
+    def _witnesses(self) -> dict[Role, tuple[Mssd, Mspd]]:
+        truth = self.pose("ground_truth")
+        found: dict[Role, tuple[Mssd, Mspd]] = {}
+        for role in ROLES[1:] if truth is not None else ():
+            pose = self.pose(role)
+            if pose is not None and truth is not None:
+                found[role] = (mssd(self.model, pose, truth), mspd(self.model, self.camera.K, pose, truth))
+        return found
+
+    def witnesses(self, role: Role) -> tuple[Mssd, Mspd] | None:
+        """MSSD (metres) and MSPD (pixels of this image) of an estimate with the vertices that decide them."""
+        return self._witnesses.get(role)
+
+    def silhouette(self, role: Role) -> Bool[np.ndarray, "h w"] | None:
+        """Mask of the model in the pose, in pixels of `fine_camera`."""
+        return self._silhouettes.get(role)
+
+    @cached_property
+    def other_silhouettes(self) -> tuple[Bool[np.ndarray, "h w"], ...]:
+        """Masks of `others`, in pixels of `fine_camera`."""
+        return tuple(render(o.model, self.fine_camera, o.camera_from_model, pixel_center=0.0).mask for o in self.others)
+
+    def rendered(self, role: Role) -> Rendering | None:
+        """The model in the pose at the image's own pixels (centres at integers)."""
+        pose = self.pose(role)
+        return None if pose is None else render(self.model, self.camera, pose, pixel_center=0.0)
+
+    @cached_property
+    def _for_evaluation(self) -> list[Rendering]:
+        """The model at the estimate and at the ground truth, sampled as the benchmark does."""
+        found, truth = self.pose("estimate"), self.pose("ground_truth")
+        assert found is not None
+        assert truth is not None
+        return render_depths(self.model, self.camera, np.stack([found, truth]))
+
+    def vsd(self, tau: float, delta: float) -> Vsd:
+        """VSD of the estimate with its maps at one misalignment tolerance; `tau` and `delta` in metres.
+
+        Needs depth, a ground truth and an estimate.
+        """
+        return self._vsd([tau / self.model.diameter], delta)
+
+    def vsd_values(self, delta: float) -> Float[np.ndarray, "10"]:
+        """VSD at BOP's ten misalignment tolerances; `delta` in metres."""
+        return self._vsd(TAUS, delta).values
+
+    def _vsd(self, taus: Sequence[float], delta: float) -> Vsd:
+        assert self.image.depth is not None
+        estimate, truth = self._for_evaluation
+        return vsd(estimate, truth, self.image.depth, self.camera.K, self.model.diameter, taus, delta)
+
+    @cached_property
+    def distance_test(self) -> Float[np.ndarray, "h w"]:
+        """Measured distance from the camera centre, metres, 0 where not measured. Needs depth."""
+        assert self.image.depth is not None
+        return distance_from_depth(self.camera.K, self.image.depth)
+
+    def visible_mask(self, gt_index: int) -> Bool[np.ndarray, "h w"] | None:
+        """The dataset's mask of the visible part of an instance; None where it has none."""
+        return self.workspace.dataset.mask(self.key, gt_index, visible=True)
+
+    @cached_property
+    def neighbours(self) -> tuple[tuple[int, Float[np.ndarray, "4 4"]], ...]:
+        """Other images of the scene: id and pose of their cameras in this camera; empty without world poses."""
+        if self.camera.world_from_camera is None:
+            return ()
+        camera_from_world = inverse(self.camera.world_from_camera)
+        found = []
+        for im_id in self.workspace.dataset.image_ids(self.key.scene_id):
+            world_from_other = self.workspace.dataset.camera(ImageKey(self.key.scene_id, im_id)).world_from_camera
+            if im_id != self.key.im_id and world_from_other is not None:
+                found.append((im_id, camera_from_world @ world_from_other))
+        return tuple(found[:: -(-len(found) // NEIGHBOURS_SHOWN) or 1])
+
+    def has_model(self, obj_id: int) -> bool:
+        """Whether the object's model can be read."""
+        try:
+            self.workspace.dataset.model(obj_id)
+        except InputError:
+            return False
+        return True
+
+    def _with_model(self, label: str, obj_id: int, pose: Float[np.ndarray, "4 4"]) -> Instance:
+        return Instance(label, self.workspace.dataset.model(obj_id), pose)
+
+
+def frame_of(workspace: Workspace, selection: Selection) -> Frame | None:
+    """Return the frame of a selection; None where no row is selected."""
+    if selection.row is None:
+        return None
+    methods = (selection.method, selection.compare)
+    ready = [m is not None and workspace.assessment(m) is not None for m in methods]
+    return Frame(workspace, selection.row, selection.method, selection.compare, (ready[0], ready[1]))

@@ -1,0 +1,54 @@
+"""Views: the small classes that fill the tabs of the window; a new one is written here once and listed in one place.
+
+A view gets a browser's context when it is made, builds its controls once, and is told of every new frame. It must not
+keep a thread of its own; long work belongs into the frame (kept for the next time) or into a workspace job.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import viser
+
+from inspector.frame import Frame
+from inspector.selection import Selection
+from inspector.workspace import Workspace
+
+
+@dataclass(frozen=True)
+class Context:
+    """What a view may use of its browser."""
+
+    client: viser.ClientHandle
+    workspace: Workspace
+    selection: Callable[[], Selection]
+    """Returns the selection in force."""
+    change: Callable[..., None]
+    """Changes fields of the selection, or of its display or filter: `change(method=1)`, `change(display={...})`."""
+    command: Callable[[str], None]
+    """Runs a command by name, as its key would."""
+
+    @property
+    def gui(self) -> viser.GuiApi:
+        """The browser's controls; what is added goes into the tab that is being built."""
+        return self.client.gui
+
+
+class View(Protocol):
+    """One tab: built once per browser, updated with every change of what is looked at."""
+
+    title: str
+    """Label of the tab."""
+
+    def __init__(self, context: Context) -> None: ...
+
+    def build(self) -> None:
+        """Add the controls of the tab; called once, inside the tab."""
+        ...
+
+    def update(self, frame: Frame | None, selection: Selection) -> None:
+        """Show a row (None: nothing is selected); called from the browser's worker thread.
+
+        InputError says that something of this row cannot be shown; the window reports it and stays usable.
+        """
+        ...

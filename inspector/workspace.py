@@ -1,0 +1,284 @@
+"""What all browsers share: the dataset, the methods' results held against it, and the work still going on."""
+
+import logging
+import secrets
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from inspector.recording_server import RecordingServer
+from inspector.selection import RowKey
+from pipeline.bop.assessment import Assessment, assess, with_visibility, with_vsd
+from pipeline.bop.dataset import Dataset
+from pipeline.bop.results import Results, read_results
+from pipeline.exceptions import InputError
+from pipeline.recording import RecordingReader
+from pipeline.run import Run
+from pipeline.scene import Image, ImageKey, PoseEstimate
+
+if TYPE_CHECKING:
+    from pipeline.bop.doctor import Finding
+
+log = logging.getLogger(__name__)
+
+TAU = 0.020
+"""Metres; misalignment tolerance of the VSD in the table (BOP 2017)."""
+
+RUN_POLL_SECONDS = 1.0
+"""How often a run folder is looked at for new images."""
+
+RECORDINGS_KEPT = 8
+"""Opened recordings kept."""
+
+IMAGES_KEPT = 16
+"""Decoded images kept in memory, for all browsers together."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """A results file to be inspected."""
+
+    name: str
+    results: Results
+    path: Path
+
+
+class Workspace:
+    """The data behind all browsers; assessments appear as they are finished, and listeners are told.
+
+    Everything here may be used from any thread.
+    """
+
+    def __init__(self, dataset: Dataset, methods: tuple[Method, ...] = (), run: Run | None = None) -> None:
+        """Hold a dataset and methods; of a run, the first method is its own results file."""
+        self.dataset = dataset
+        self.methods = methods
+        self.run = run
+        self._recording_server: RecordingServer | None = None
+        self._origins: set[str] = set()
+        self._recordings: dict[Path, tuple[float, RecordingReader]] = {}
+        self.jobs: dict[str, float] = {}
+        """Work in progress: what it is and the finished share, 0..1."""
+        self.problems: tuple[str, ...] = ()
+        """What of the data could not be used, one line each."""
+        self.findings: tuple[Finding, ...] | InputError | None = None
+        """What the doctor said; None as long as it was not asked."""
+        self.version = 0
+        """Grows with every new assessment."""
+        self._assessments: list[Assessment | None] = [None] * max(1, len(methods))
+        self._images: OrderedDict[ImageKey, Image] = OrderedDict()
+        self._listeners: set[Callable[[], None]] = set()
+        self._lock = threading.RLock()
+        self._stopped = threading.Event()
+
+    @property
+    def method_names(self) -> tuple[str, ...]:
+        """Names of the methods, made different where two files claim the same."""
+        names = [method.name for method in self.methods]
+        return tuple(
+            f"{n} ({m.path.stem})" if names.count(n) > 1 else n for n, m in zip(names, self.methods, strict=True)
+        )
+
+    @property
+    def delta(self) -> float:
+        """Metres; visibility tolerance of VSD for this dataset."""
+        return self.dataset.facts.vsd_delta
+
+    def start(self) -> None:
+        """Assess all methods in the background, and follow the run, if there is one, as it grows."""
+        threading.Thread(target=self._work, name="assessment", daemon=True).start()
+
+    def recording(self, key: ImageKey) -> RecordingReader | None:
+        """What the run recorded of an image; None where there is no run or no recording, InputError if it is damaged."""
+        if self.run is None or not (path := self.run.recording_path(key)).is_file():
+            return None
+        written = path.stat().st_mtime
+        known = self._recordings.get(path)
+        if known is None or known[0] != written:
+            reader = RecordingReader.open(path)
+            with self._lock:
+                while len(self._recordings) >= RECORDINGS_KEPT:
+                    self._recordings.pop(next(iter(self._recordings)))
+                known = self._recordings[path] = (written, reader)
+        return known[1]
+
+    def rerun_url(self, key: ImageKey) -> str:
+        """Address of rerun's web viewer on the recording of an image, served to this machine only.
+
+        Raises MissingFileError if the image has no recording, InputError if no server can be started.
+        """
+        assert self.run is not None
+        with self._lock:
+            if self._recording_server is None:
+                self._recording_server = RecordingServer(self.run.root, secrets.token_urlsafe(24), self._origins)
+                self._recording_server.start()
+        return self._recording_server.viewer_url(key)
+
+    def allow_origins(self, origins: set[str]) -> None:
+        """Say under which addresses browsers have the inspector open; only those may show recordings."""
+        self._origins = origins
+
+    def stop(self) -> None:
+        """Stop following the run and serving its recordings."""
+        self._stopped.set()
+        if self._recording_server is not None:
+            self._recording_server.stop()
+
+    def assessment(self, method: int) -> Assessment | None:
+        """Return the rows of a method; None as long as they are not ready."""
+        return self._assessments[method] if method < len(self._assessments) else None
+
+    def image(self, key: ImageKey) -> Image:
+        """Return an image of the dataset, kept for the next browser that asks; InputError if it cannot be read."""
+        with self._lock:
+            if key in self._images:
+                self._images.move_to_end(key)
+                return self._images[key]
+        image = self.dataset.image(key)
+        with self._lock:
+            self._images[key] = image
+            while len(self._images) > IMAGES_KEPT:
+                self._images.popitem(last=False)
+        return image
+
+    def estimate_of(self, method: int, row: RowKey) -> PoseEstimate | None:
+        """Return the estimate of a method that is held against a row of the table."""
+        if method >= len(self.methods):
+            return None
+        results = self.methods[method].results
+        if row.gt_index < 0:
+            return results.estimate(row.estimate) if 0 <= row.estimate < len(results) else None
+        assessment = self.assessment(method)
+        if assessment is None:
+            return None
+        place = find_row(assessment, row)
+        return (
+            None
+            if place is None or assessment.estimate[place] < 0
+            else results.estimate(int(assessment.estimate[place]))
+        )
+
+    def listen(self, listener: Callable[[], None]) -> Callable[[], None]:
+        """Have `listener` called on every change, from any thread; returns what ends that."""
+        with self._lock:
+            self._listeners.add(listener)
+        return lambda: self._listeners.discard(listener)
+
+    def changed(self) -> None:
+        """Tell all listeners; one that fails is reported and does not hinder the others."""
+        with self._lock:
+            listeners = tuple(self._listeners)
+        for listener in listeners:
+            try:
+                listener()
+            except Exception:
+                log.exception("a browser could not be told of new data")
+
+    @contextmanager
+    def job(self, text: str) -> Iterator[Callable[[float], None]]:
+        """Show a piece of work with its progress in all browsers while the block runs."""
+
+        def progress(share: float) -> None:
+            announce = int(share * 50) != int(self.jobs.get(text, 0.0) * 50)
+            self.jobs[text] = share
+            if announce:
+                self.changed()
+
+        self.jobs[text] = 0.0
+        try:
+            yield progress
+        finally:
+            self.jobs.pop(text, None)
+            self.changed()
+
+    def diagnose(self) -> None:
+        """Ask the doctor about the dataset, in the background."""
+        threading.Thread(target=self._diagnose, name="doctor", daemon=True).start()
+
+    def _diagnose(self) -> None:
+        from pipeline.bop.doctor import diagnose
+
+        with self.job("doctor") as progress:
+            try:
+                self.findings = tuple(
+                    diagnose(self.dataset.root, self.dataset.split, lambda share, *_: progress(share))
+                )
+            except InputError as error:
+                self.findings = error
+
+    def _work(self) -> None:
+        """Assess everything, then again whenever the run has finished more images."""
+        watch = self.run.watch() if self.run is not None else None
+        if watch is not None:
+            watch.poll()
+        self._assess_all()
+        while watch is not None and not self._stopped.wait(RUN_POLL_SECONDS):
+            if watch.poll():
+                self._reread_run()
+
+    def _reread_run(self) -> None:
+        own = self.methods[0]
+        try:
+            grown = Method(own.name, read_results(own.path), own.path)
+        except InputError as error:
+            self._report((str(error),))
+            return
+        self.methods = (grown, *self.methods[1:])
+        for stage in (self._assess, self._complete):
+            stage(0)
+
+    def _assess_all(self) -> None:
+        for stage in (self._assess, self._complete):
+            for index in range(len(self._assessments)):
+                try:
+                    stage(index)
+                except InputError as error:
+                    self._report((str(error),))
+                except Exception as error:
+                    log.exception("a method could not be assessed")
+                    self._report((f"assessment failed: {error}",))
+
+    def _assess(self, index: int) -> None:
+        method = self.methods[index] if self.methods else None
+        with self.job(f"comparing {method.name if method else 'ground truth'}") as progress:
+            assessment = assess(self.dataset, method.results if method else None, progress)
+            self._report(assessment.problems)
+            self._publish(index, assessment)
+
+    def _complete(self, index: int) -> None:
+        """Add what takes longer: visible fractions where the dataset has none, and VSD."""
+        assessment = self._assessments[index]
+        if assessment is None:
+            return
+        with self.job("visible fractions") as progress:
+            assessment = with_visibility(self.dataset, assessment, progress)
+            self._publish(index, assessment)
+        if self.methods:
+            with self.job("VSD") as progress:
+                results = self.methods[index].results
+                self._publish(index, with_vsd(self.dataset, results, assessment, TAU, self.delta, progress))
+
+    def _publish(self, index: int, assessment: Assessment) -> None:
+        self._assessments[index] = assessment
+        self.version += 1
+
+    def _report(self, problems: tuple[str, ...]) -> None:
+        self.problems = tuple(dict.fromkeys((*self.problems, *problems)))
+
+
+def find_row(assessment: Assessment, row: RowKey) -> int | None:
+    """Return the position of a row in an assessment, None if it is not in it."""
+    found = (
+        (assessment.scene_id == row.scene_id)
+        & (assessment.im_id == row.im_id)
+        & (assessment.obj_id == row.obj_id)
+        & (assessment.gt_index == row.gt_index)
+    )
+    if row.gt_index < 0:
+        found &= assessment.estimate == row.estimate
+    places = found.nonzero()[0]
+    return int(places[0]) if len(places) else None
