@@ -8,27 +8,34 @@ import tyro
 from rich.console import Console
 from rich.markup import escape
 
+from inspector.commands.doctor import DoctorConfig
+from inspector.commands.doctor import run as run_doctor
+from inspector.commands.download import DownloadConfig
+from inspector.commands.download import run as run_download
+from inspector.commands.record import RecordConfig
+from inspector.commands.record import run as run_record
+from inspector.commands.serve import ServeConfig
+from inspector.commands.serve import run as run_serve
 from pipeline.exceptions import InputError
 
 
 def main() -> None:
     """Run a subcommand; what is wrong with the input is told in one line."""
-    from inspector.commands.doctor import DoctorConfig
-    from inspector.commands.doctor import run as doctor
-    from inspector.commands.download import DownloadConfig
-    from inspector.commands.download import run as download
-    from inspector.commands.serve import ServeConfig
-    from inspector.commands.serve import run as serve
-
-    commands = {ServeConfig: serve, DoctorConfig: doctor, DownloadConfig: download}
+    commands = {
+        "serve": (ServeConfig, run_serve),
+        "record": (RecordConfig, run_record),
+        "doctor": (DoctorConfig, run_doctor),
+        "download": (DownloadConfig, run_download),
+    }
     logging.basicConfig(level=os.environ.get("INSPECTOR_LOG", "WARNING").upper(), format="%(name)s: %(message)s")
     config = tyro.extras.subcommand_cli_from_dict(
-        {"serve": ServeConfig, "doctor": DoctorConfig, "download": DownloadConfig},
+        {name: kind for name, (kind, _) in commands.items()},
         prog="inspector",
         description="See where 6D object poses go wrong, and which stage lost them.",
     )
+    run = {kind: run for kind, run in commands.values()}[type(config)]
     try:
-        sys.exit(commands[type(config)](config))
+        sys.exit(run(config))
     except InputError as error:
         Console(stderr=True, highlight=False).print(f"[bold red]error:[/bold red] {escape(str(error))}", soft_wrap=True)
         sys.exit(2)

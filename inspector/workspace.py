@@ -204,9 +204,14 @@ class Workspace:
 
         with self.job("doctor") as progress:
             try:
-                self.findings = tuple(
-                    diagnose(self.dataset.root, self.dataset.split, lambda share, *_: progress(share))
+                paths = [method.path for method in self.methods]
+                said = diagnose(
+                    self.dataset.root,
+                    self.dataset.split,
+                    lambda done, all_, _: progress(done / all_),
+                    results=paths,
                 )
+                self.findings = tuple(said)
             except InputError as error:
                 self.findings = error
 

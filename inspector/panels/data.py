@@ -4,6 +4,7 @@ from inspector import html
 from inspector.frame import Frame
 from inspector.selection import Selection
 from inspector.views import Context
+from inspector.workspace import Workspace
 from pipeline.exceptions import InputError
 
 
@@ -49,10 +50,14 @@ class DataView:
         self._findings.content = _findings(workspace)
 
 
-def _findings(workspace) -> str:
+def _findings(workspace: Workspace) -> str:
     if workspace.findings is None:
         return ""
     if isinstance(workspace.findings, InputError):
         return html.block(html.paragraph(str(workspace.findings)))
-    cards = [html.finding(f.severity, f.title, f.subject, f.evidence, f.fix) for f in workspace.findings]
+    cards = [
+        html.finding(f.severity, f.title, f.subject, f.evidence, f.fix)
+        for f in workspace.findings
+        if f.severity != "ok"
+    ]
     return html.block(html.heading("Findings"), *(cards or [html.paragraph("Nothing found: the data look healthy.")]))
