@@ -3,6 +3,7 @@
 All coordinates are those of the image's camera (OpenCV: x right, y down, z forward), in metres.
 """
 
+import threading
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -70,15 +71,16 @@ class _Shown(NamedTuple):
 
 
 class Canvas:
-    """Keeps the nodes of one browser's scene equal to the last drawing; use from one thread at a time."""
+    """Keeps the nodes of one browser's scene equal to the last drawing."""
 
     def __init__(self, client: viser.ClientHandle) -> None:
         self._client = client
         self._shown: dict[str, _Shown] = {}
+        self._lock = threading.Lock()
 
     def show(self, drawing: Mapping[str, Node]) -> None:
         """Make the scene hold exactly these nodes; names that stay are updated in place."""
-        with self._client.atomic():
+        with self._lock, self._client.atomic():
             for name in self._shown.keys() - drawing.keys():
                 self._shown.pop(name).handle.remove()
             for name, node in drawing.items():
@@ -86,8 +88,9 @@ class Canvas:
 
     def set_visible(self, name: str, visible: bool) -> None:
         """Hide or show a node that is there, for blinking."""
-        if name in self._shown:
-            self._shown[name].handle.visible = visible
+        with self._lock:
+            if name in self._shown:
+                self._shown[name].handle.visible = visible
 
     def _put(self, name: str, node: Node) -> None:
         shown = self._shown.get(name)

@@ -5,7 +5,7 @@ from typing import Any, get_args
 import viser
 
 from inspector import html
-from inspector.selection import DEFAULT_THRESHOLDS, Criterion, Selection, Status
+from inspector.selection import DEFAULT_THRESHOLDS, Criterion, Status
 from inspector.table import Table
 from inspector.views import Context
 
@@ -36,7 +36,9 @@ class TableControls:
         self._criterion = gui.add_dropdown(
             "Correct if", tuple(CRITERIA.values()), initial_value=CRITERIA[selection.criterion]
         )
-        self._threshold = gui.add_slider("below", 0.01, _LARGEST[selection.criterion], 0.01, selection.threshold)
+        self._threshold = gui.add_slider(
+            "below", 0.0, _LARGEST[selection.criterion], _LARGEST[selection.criterion] / 50, selection.threshold
+        )
         with gui.add_folder("Filter", expand_by_default=False):
             dataset = workspace.dataset
             self._status = gui.add_dropdown("Result", get_args(Status), initial_value=selection.filter.status)
@@ -46,7 +48,7 @@ class TableControls:
         self._summary = gui.add_html("")
         self._wire()
 
-    def update(self, selection: Selection, table: Table | None) -> None:
+    def update(self, table: Table | None) -> None:
         """Make the controls say what is in force, and sum the table up."""
         names, now = self._context.workspace.method_names, self._context.selection()
         wanted = now.filter

@@ -14,6 +14,7 @@ from inspector.layers import ColorScale, Rgba
 from inspector.recorded import layer_of
 from inspector.selection import Display, Selection
 from pipeline import geometry
+from pipeline.exceptions import InputError
 from pipeline.scene import Model
 
 COLORS: dict[Role, tuple[int, int, int]] = {
@@ -61,16 +62,13 @@ class _Draughtsman:
         self.nearest, self.farthest = min(depths), max(depths)
 
     def draw(self) -> Drawing:
-        self._image()
-        self._depth()
-        self._masks()
-        self._recorded()
-        self._models()
-        if self.display.witness:
-            self._witness()
-        if not self.image_view:
-            self._scene()
-        return Drawing(self.nodes, tuple(self.scales), tuple(self.warnings))
+        layers_of_view = [self._image, self._depth, self._masks, self._recorded, self._models, self._witness]
+        for add in layers_of_view if self.image_view else [*layers_of_view, self._points, self._cameras]:
+            try:
+                add()
+            except InputError as error:  # what is damaged is missing, the rest is shown
+                self.warnings.append(str(error))
+        return Drawing(self.nodes, tuple(self.scales), tuple(dict.fromkeys(self.warnings)))
 
     def _picture(
         self, name: str, token: Hashable, pixels: Callable[[], UInt8[np.ndarray, "h w c"]], level: float
@@ -82,7 +80,7 @@ class _Draughtsman:
     @property
     def _about(self) -> tuple:
         frame = self.frame
-        return (frame.row, frame.method, frame.compare, frame.assessed)
+        return (frame.row, frame.method, frame.compare, frame.generations)
 
     def _image(self) -> None:
         rgb = self.frame.image.rgb
@@ -102,7 +100,8 @@ class _Draughtsman:
             self.warnings.append(f"no depth in this image: the layer '{self.display.depth}' is empty")
             return
         layer, scale = _depth_overlay(self.frame, self.display)
-        self._picture("depth", self.display.depth, partial(layers.upsampled, layer, self.frame.fineness), 1)
+        token = (self.display.depth, self.display.opacity)
+        self._picture("depth", token, partial(layers.upsampled, layer, self.frame.fineness), 1)
         self.scales.append(scale)
 
     def _masks(self) -> None:
@@ -176,11 +175,13 @@ class _Draughtsman:
     def _other_contours(self) -> Rgba:
         layer = layers.blank(self.frame.fine_camera.height, self.frame.fine_camera.width)
         for mask in self.frame.other_silhouettes:
-            layers.paint(layer, layers.contour_of(mask), layers.OTHERS, 0.8)
+            layers.paint(layer, layers.contour_of(mask, self.frame.fineness), layers.OTHERS, 0.8)
         return layer
 
     def _witness(self) -> None:
         """Draw the vertices that decide MSSD and MSPD, from the ground truth to the estimate."""
+        if not self.display.witness:
+            return
         found, truth, witnesses = (
             self.frame.pose("estimate"),
             self.frame.pose("ground_truth"),
@@ -199,19 +200,21 @@ class _Draughtsman:
                 ends = ends / ends[:, 2:] * 0.2
             self.nodes[f"witness/{name}"] = Lines((name, ends.tobytes()), ends[None], color, width=3.0)
 
-    def _scene(self) -> None:
-        frame = self.frame
-        depth = frame.image.depth
-        if self.display.points and depth is not None:
-            self.nodes["points"] = Cloud(
-                (frame.key, "points"), partial(_cloud, frame), size=1.5 * self.nearest / frame.camera.K[0, 0]
-            )
-        elif self.display.points:
+    def _points(self) -> None:
+        if not self.display.points:
+            return
+        if self.frame.image.depth is None:
             self.warnings.append("no depth in this image: no point cloud")
-        corners = _corners(frame, FRUSTUM * self.nearest)
+            return
+        size = 1.5 * self.nearest / self.frame.camera.K[0, 0]
+        self.nodes["points"] = Cloud((self.frame.key, "points"), partial(_cloud, self.frame), size=size)
+
+    def _cameras(self) -> None:
+        """Draw this image's camera, and those of the scene's other images where their poses are known."""
+        corners = _corners(self.frame, FRUSTUM * self.nearest)
         self.nodes["frustum"] = Lines(corners.tobytes(), corners, (150, 150, 150), width=1.5)
-        for im_id, camera_from_other in frame.neighbours:
-            segments = geometry.transform_points(camera_from_other, _corners(frame, 0.5 * FRUSTUM * self.nearest))
+        for im_id, camera_from_other in self.frame.neighbours:
+            segments = geometry.transform_points(camera_from_other, _corners(self.frame, 0.5 * FRUSTUM * self.nearest))
             self.nodes[f"cameras/{im_id}"] = Lines(segments.tobytes(), segments, (110, 130, 160), width=1.0)
 
 

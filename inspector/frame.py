@@ -45,8 +45,8 @@ class Frame:
     row: RowKey
     method: int
     compare: int | None
-    assessed: tuple[bool, bool]
-    """Whether the rows of the method and of the compared one are ready: before that their estimates are unknown."""
+    generations: tuple[int, int]
+    """How often the two methods were assessed: before that their estimates are unknown, and a run grows."""
 
     @property
     def key(self) -> ImageKey:
@@ -214,6 +214,5 @@ def frame_of(workspace: Workspace, selection: Selection) -> Frame | None:
     """Return the frame of a selection; None where no row is selected."""
     if selection.row is None:
         return None
-    methods = (selection.method, selection.compare)
-    ready = [m is not None and workspace.assessment(m) is not None for m in methods]
-    return Frame(workspace, selection.row, selection.method, selection.compare, (ready[0], ready[1]))
+    generations = workspace.generation(selection.method), workspace.generation(selection.compare)
+    return Frame(workspace, selection.row, selection.method, selection.compare, generations)

@@ -43,10 +43,10 @@ def _swap(session: "Session") -> None:
 
 
 COMMANDS = (
-    Command("next", "Next target", lambda s: s.step(1), "N", "N ↓"),
-    Command("previous", "Previous target", lambda s: s.step(-1), "P", "P ↑"),
-    Command("next_image", "Next image", lambda s: s.step_image(1), None, "→"),
-    Command("previous_image", "Previous image", lambda s: s.step_image(-1), None, "←"),
+    Command("next", "Next target", lambda s: s.steering.step(1), "N", "N ↓"),
+    Command("previous", "Previous target", lambda s: s.steering.step(-1), "P", "P ↑"),
+    Command("next_image", "Next image", lambda s: s.steering.step_image(1), None, "→"),
+    Command("previous_image", "Previous image", lambda s: s.steering.step_image(-1), None, "←"),
     Command("image_view", "Image view", lambda s: s.change(view="image"), "1"),
     Command("scene_view", "3D scene view", lambda s: s.change(view="scene"), "2"),
     Command("fit", "Fit the image into the window", lambda s: s.fit(), "F"),

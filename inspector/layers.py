@@ -11,7 +11,7 @@ from pipeline.scene import Camera
 GROUND_TRUTH = (60, 220, 100)
 ESTIMATE = (60, 150, 255)
 COMPARED = (255, 150, 40)
-OTHERS = (190, 190, 190)
+OTHERS = (225, 225, 225)
 """Colours by role (RGB): ground truth green and estimate blue as in the thesis, the compared method orange."""
 
 Rgba = UInt8[np.ndarray, "h w 4"]

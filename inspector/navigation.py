@@ -5,7 +5,7 @@ import viser
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from inspector.viewport import LOOK_DISTANCE, Viewport, image_center
+from inspector.viewport import LOOK_DISTANCE, Viewport, fitting_scale, image_center
 from pipeline.scene import Camera
 
 FOV_3D = np.radians(45)
@@ -40,7 +40,7 @@ class Navigation:
         self._viewport = Viewport(camera, *self.window, zoom, pixel)
         self._lock()
 
-    def show_scene(self, camera: Camera, target: Float[np.ndarray, "3"]) -> None:
+    def show_scene(self, target: Float[np.ndarray, "3"]) -> None:
         """Look at a point of the camera frame from beside and above the image's camera, free to move from there."""
         self._viewport = None
         sideways = Rotation.from_euler("yx", [25, -12], degrees=True)
@@ -77,7 +77,7 @@ class Navigation:
     def around(self, camera: Camera, box: tuple[float, float, float, float]) -> tuple[float, tuple[float, float]]:
         """Zoom and centre that show a box (u0, v0, u1, v1) of the image with some room around it."""
         width, height = self.window
-        fit = min(width / camera.width, height / camera.height)
+        fit = fitting_scale(camera, width, height)
         size = np.maximum([box[2] - box[0], box[3] - box[1]], 8)
         zoom = float(np.clip(0.6 * min(width / size[0], height / size[1]) / fit, 1.0, 60.0))
         middle = ((box[0] + box[2]) / 2, (box[1] + box[3]) / 2)

@@ -15,6 +15,7 @@ import urllib.error
 import urllib.request
 from functools import cache
 from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 
 from pipeline.exceptions import InputError
@@ -76,9 +77,7 @@ def _extract(folder: Path) -> None:
 
 
 def _start_rerun(port: int, home: Path) -> "subprocess.Popen[bytes]":
-    import rerun_cli
-
-    program = Path(rerun_cli.__file__ or "").parent / "rerun"
+    program = _program()
     arguments = ["--serve-web", "--bind", "127.0.0.1", "--port", "auto", "--web-viewer-port", str(port), _NOTHING]
     # A home of its own: rerun reports usage to its makers from the second start in a home folder on.
     environment = {"PATH": os.environ.get("PATH", ""), "HOME": str(home)}
@@ -87,6 +86,14 @@ def _start_rerun(port: int, home: Path) -> "subprocess.Popen[bytes]":
         return subprocess.Popen([program, *arguments], env=environment, stdin=quiet, stdout=quiet, stderr=quiet)
     except OSError as error:
         raise InputError(f"{program}: cannot be started: {error.strerror}; install rerun-sdk again") from error
+
+
+def _program() -> Path:
+    """Rerun's program, as its package installs it."""
+    package = find_spec("rerun_cli")
+    if package is None or package.origin is None:
+        raise InputError("rerun's program is not installed; install rerun-sdk again")
+    return Path(package.origin).parent / "rerun"
 
 
 def _fetch(url: str, process: "subprocess.Popen[bytes]") -> bytes:

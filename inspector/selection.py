@@ -101,6 +101,13 @@ class Selection:
         """Threshold of the criterion in force."""
         return self.thresholds[list(DEFAULT_THRESHOLDS).index(self.criterion)]
 
+    @property
+    def table_key(self) -> tuple:
+        """Everything that the rows of the table, their order and their cells depend on."""
+        return (
+            self.method, self.compare, self.criterion, self.thresholds, self.sort, self.descending, self.filter
+        )  # fmt: skip
+
     def with_threshold(self, value: float) -> "Selection":
         """Return the selection with the threshold of the criterion in force changed."""
         index = list(DEFAULT_THRESHOLDS).index(self.criterion)

@@ -34,7 +34,18 @@ _SAFE_HOSTS = "use --host 127.0.0.1 (this machine only) or --host 0.0.0.0 (all n
 _construction = threading.Lock()
 _log = logging.getLogger("inspector.server.websockets")
 _log.setLevel(logging.WARNING)
-_log.addFilter(lambda record: record.getMessage() != "opening handshake failed")  # port scanners: a traceback each
+
+
+def _worth_logging(record: logging.LogRecord) -> bool:
+    """False for what visitors cause that are no browsers or that leave before they are answered."""
+    if record.getMessage() == "opening handshake failed":  # port scanners: a traceback each
+        return False
+    # websockets takes it for a fault of its own when a page is closed while it waits for an answer.
+    gone = record.exc_info is not None and record.exc_info[0] is AssertionError
+    return not (gone and record.getMessage() == "unexpected internal error")
+
+
+_log.addFilter(_worth_logging)
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, Int
 
 from inspector.selection import Criterion, Filter, RowKey, Selection
 from pipeline.bop.assessment import Assessment
+from pipeline.scene import ImageKey
 
 
 class Column(NamedTuple):
@@ -72,6 +73,13 @@ class Table:
         places = found.nonzero()[0]
         return int(places[0]) if len(places) else -1
 
+    def instance(self, image: ImageKey, gt_index: int) -> int:
+        """Return where an annotated instance stands, -1 if it is not shown."""
+        a, rows = self.assessment, self.order
+        found = (a.scene_id[rows] == image.scene_id) & (a.im_id[rows] == image.im_id) & (a.gt_index[rows] == gt_index)
+        places = found.nonzero()[0]
+        return int(places[0]) if len(places) else -1
+
     def cells(self, position: int) -> dict[str, object]:
         """Return what the page draws for the row at a position: texts of the cells, a class and an explanation."""
         a, row = self.assessment, int(self.order[position])
@@ -86,7 +94,8 @@ class Table:
             _number(a.mssd[row] * 1000),
             _number(a.mspd[row]),
             _number(a.add[row] * 1000),
-            comparison or ("" if status == "unknown" else status),
+            comparison
+            or ("no truth" if status == "unknown" and a.gt_index[row] < 0 else "" if status == "unknown" else status),
         ]
         instance = f"instance {a.gt_index[row]}" if a.gt_index[row] >= 0 else "no ground truth"
         title = f"scene {a.scene_id[row]}, image {a.im_id[row]}, object {a.obj_id[row]}, {instance}: {status}"
@@ -127,9 +136,11 @@ def errors_of(assessment: Assessment, criterion: Criterion) -> Float[np.ndarray,
 def _status(assessment: Assessment, error: Float[np.ndarray, "n"], threshold: float) -> Int[np.ndarray, "n"]:
     known = ~np.isnan(error)
     status = np.where(known, np.where(error < threshold, 1, 2), 0)
-    claimed = np.isfinite(assessment.score).any()
-    status[(assessment.estimate < 0) & (assessment.gt_index >= 0)] = 3 if claimed or known.any() else 0
-    status[(assessment.gt_index < 0)] = 4
+    status[(assessment.estimate < 0) & (assessment.gt_index >= 0) & known] = 3
+    annotated = set(zip(*_images(assessment, assessment.gt_index >= 0), strict=True))
+    for row in np.flatnonzero(assessment.gt_index < 0):
+        image = (int(assessment.scene_id[row]), int(assessment.im_id[row]))
+        status[row] = 4 if image in annotated else 0
     return status
 
 
@@ -145,6 +156,10 @@ def _compare(
         if status[row] in (1, 2, 3) and instance[3] >= 0 and known.get(instance, False):
             result[row] = 1 + (0 if right[instance] else 1) if status[row] == 1 else (3 if right[instance] else 4)
     return result
+
+
+def _images(assessment: Assessment, rows: Bool[np.ndarray, "n"]) -> tuple[list[int], list[int]]:
+    return assessment.scene_id[rows].tolist(), assessment.im_id[rows].tolist()
 
 
 def _instances(assessment: Assessment) -> list[tuple[int, int, int, int]]:

@@ -32,8 +32,7 @@ class Viewport(NamedTuple):
     @property
     def scale(self) -> float:
         """CSS pixels per image pixel, in the middle of the window."""
-        fit = min(self.window_width / self.camera.width, self.window_height / self.camera.height)
-        return max(fit * self.zoom, 1e-6)
+        return max(fitting_scale(self.camera, self.window_width, self.window_height) * self.zoom, 1e-6)
 
     @property
     def fov(self) -> float:
@@ -48,11 +47,7 @@ class Viewport(NamedTuple):
     @property
     def camera_from_view(self) -> Float[np.ndarray, "3 3"]:
         """Rotation of the browser's camera in the image's camera frame (both x right, y down, z forward)."""
-        forward = np.linalg.solve(self.camera.K, (*self.center, 1.0))
-        forward /= np.linalg.norm(forward)
-        right = np.cross((0.0, 1.0, 0.0), forward)
-        right /= np.linalg.norm(right)
-        return np.stack([right, np.cross(forward, right), forward], axis=1)
+        return _looking_at(self.camera, self.center)
 
     def pixel_at(self, x: float, y: float) -> tuple[float, float]:
         """Image pixel (u, v) seen at a point of the window given as shares 0..1 of its width and height."""
@@ -70,6 +65,24 @@ class Viewport(NamedTuple):
         half = np.tan(self.fov / 2)
         aspect = self.window_width / self.window_height
         return np.array([(2 * x - 1) * half * aspect, (2 * y - 1) * half, 1.0])
+
+
+def fitting_scale(camera: Camera, window_width: int, window_height: int) -> float:
+    """CSS pixels per image pixel at which the whole image just fits into the window."""
+    w, h = camera.width - 0.5, camera.height - 0.5
+    corners = np.array([[-0.5, -0.5, 1], [w, -0.5, 1], [w, h, 1], [-0.5, h, 1]])
+    x, y, z = _looking_at(camera, image_center(camera)).T @ np.linalg.solve(camera.K, corners.T)
+    half_width, half_height = np.abs(x / z).max(), np.abs(y / z).max()  # at depth 1
+    return float(min(window_width / half_width, window_height / half_height) / (2 * camera.K[1, 1]))
+
+
+def _looking_at(camera: Camera, pixel: tuple[float, float]) -> Float[np.ndarray, "3 3"]:
+    """Rotation, in the camera's frame, of a level camera in the same place that looks at a pixel."""
+    forward = np.linalg.solve(camera.K, (*pixel, 1.0))
+    forward /= np.linalg.norm(forward)
+    right = np.cross((0.0, 1.0, 0.0), forward)
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(forward, right), forward], axis=1)
 
 
 def image_center(camera: Camera) -> tuple[float, float]:

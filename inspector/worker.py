@@ -50,5 +50,11 @@ class LatestWins:
                 job()
             except Exception as error:  # one browser's fault must not end its worker
                 log.exception("a view could not be updated")
-                if self._on_error is not None:
-                    self._on_error(error)
+                self._tell(error)
+
+    def _tell(self, error: Exception) -> None:
+        if self._on_error is not None:
+            try:
+                self._on_error(error)
+            except Exception:
+                log.exception("and that could not be told")

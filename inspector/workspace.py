@@ -4,14 +4,15 @@ import logging
 import secrets
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from inspector.recording_server import RecordingServer
-from inspector.selection import RowKey
+from inspector.selection import RowKey, Selection
 from pipeline.bop.assessment import Assessment, assess, with_visibility, with_vsd
 from pipeline.bop.dataset import Dataset
 from pipeline.bop.results import Results, read_results
@@ -70,6 +71,7 @@ class Workspace:
         self.version = 0
         """Grows with every new assessment."""
         self._assessments: list[Assessment | None] = [None] * max(1, len(methods))
+        self._generations = [0] * len(self._assessments)
         self._images: OrderedDict[ImageKey, Image] = OrderedDict()
         self._listeners: set[Callable[[], None]] = set()
         self._lock = threading.RLock()
@@ -145,6 +147,20 @@ class Workspace:
                 self._images.popitem(last=False)
         return image
 
+    def generation(self, method: int | None) -> int:
+        """How often the estimates of a method were held against the ground truth anew; 0 as long as they were not."""
+        return 0 if method is None else self._generations[method]
+
+    def within(self, selection: Selection) -> Selection:
+        """Return the selection with what this workspace does not have (methods, objects, scenes) as at the start."""
+        count, wanted = max(len(self.methods), 1), selection.filter
+        compare = selection.compare if selection.compare is not None and 0 <= selection.compare < count else None
+        obj_id = wanted.obj_id if wanted.obj_id in self.dataset.obj_ids else None
+        scene_id = wanted.scene_id if wanted.scene_id in self.dataset.scene_ids else None
+        method = selection.method if 0 <= selection.method < count else 0
+        here = replace(wanted, obj_id=obj_id, scene_id=scene_id)
+        return replace(selection, method=method, compare=compare, filter=here)
+
     def estimate_of(self, method: int, row: RowKey) -> PoseEstimate | None:
         """Return the estimate of a method that is held against a row of the table."""
         if method >= len(self.methods):
@@ -216,42 +232,44 @@ class Workspace:
                 self.findings = error
 
     def _work(self) -> None:
-        """Assess everything, then again whenever the run has finished more images."""
+        """Assess everything, then the run again whenever it has finished more images."""
         watch = self.run.watch() if self.run is not None else None
         if watch is not None:
-            watch.poll()
-        self._assess_all()
+            self._guarded(watch.poll)
+            self._guarded(self._reread_run)  # it may have grown since it was opened
+        self._assess_methods(range(len(self._assessments)))
         while watch is not None and not self._stopped.wait(RUN_POLL_SECONDS):
-            if watch.poll():
-                self._reread_run()
+            if self._guarded(watch.poll) and self._guarded(self._reread_run):
+                self._assess_methods([0])
 
-    def _reread_run(self) -> None:
-        own = self.methods[0]
+    def _assess_methods(self, indices: Iterable[int]) -> None:
+        for stage in (self._assess, self._complete):
+            for index in indices:
+                self._guarded(partial(stage, index))
+
+    def _guarded(self, work: Callable[[], Any]) -> Any:
+        """Do a piece of work; if it fails, browsers are told why, the result is None, and the rest goes on."""
         try:
-            grown = Method(own.name, read_results(own.path), own.path)
+            return work()
         except InputError as error:
             self._report((str(error),))
-            return
-        self.methods = (grown, *self.methods[1:])
-        for stage in (self._assess, self._complete):
-            stage(0)
+        except Exception as error:
+            log.exception("background work failed")
+            self._report((f"background work failed: {error}",))
+        self.changed()
+        return None
 
-    def _assess_all(self) -> None:
-        for stage in (self._assess, self._complete):
-            for index in range(len(self._assessments)):
-                try:
-                    stage(index)
-                except InputError as error:
-                    self._report((str(error),))
-                except Exception as error:
-                    log.exception("a method could not be assessed")
-                    self._report((f"assessment failed: {error}",))
+    def _reread_run(self) -> bool:
+        own = self.methods[0]
+        self.methods = (Method(own.name, read_results(own.path), own.path), *self.methods[1:])
+        return True
 
     def _assess(self, index: int) -> None:
         method = self.methods[index] if self.methods else None
         with self.job(f"comparing {method.name if method else 'ground truth'}") as progress:
             assessment = assess(self.dataset, method.results if method else None, progress)
             self._report(assessment.problems)
+            self._generations[index] += 1
             self._publish(index, assessment)
 
     def _complete(self, index: int) -> None:
@@ -265,7 +283,9 @@ class Workspace:
         if self.methods:
             with self.job("VSD") as progress:
                 results = self.methods[index].results
-                self._publish(index, with_vsd(self.dataset, results, assessment, TAU, self.delta, progress))
+                assessment = with_vsd(self.dataset, results, assessment, TAU, self.delta, progress)
+                self._report(assessment.problems)
+                self._publish(index, assessment)
 
     def _publish(self, index: int, assessment: Assessment) -> None:
         self._assessments[index] = assessment

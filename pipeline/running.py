@@ -3,7 +3,7 @@
 import logging
 import time
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 from pipeline.bop.dataset import Dataset
 from pipeline.estimator import Estimator
@@ -19,10 +19,11 @@ def run_estimator(
     dataset: Dataset,
     run: Run,
     *,
+    targets: Iterable[Target] | None = None,
     record: bool = True,
     progress: Callable[[float], None] = lambda _: None,
 ) -> int:
-    """Estimate all targets of a dataset that the run has not finished yet.
+    """Estimate all targets (by default those of the dataset) that the run has not finished yet.
 
     An image on which the estimator fails with an InputError is kept as a failure with its reason; the others go on.
 
@@ -31,7 +32,7 @@ def run_estimator(
 
     """
     by_image: dict[ImageKey, list[Target]] = defaultdict(list)
-    for target in dataset.targets():
+    for target in dataset.targets() if targets is None else targets:
         by_image[target.image].append(target)
     finished = set(run.finished_images())
     waiting = [key for key in by_image if key not in finished]
@@ -58,9 +59,10 @@ def _run_image(
                 recorder.poses("ground_truth", dataset.ground_truth(key))
             estimates = estimator.estimate(image, targets, recorder)
             recorder.poses("estimates", estimates)
+        run.add(key, estimates, {"total": time.perf_counter() - begun})
     except InputError as error:
         log.warning("scene %d, image %d: %s", *key, error)
+        # A disk that is full fails here, too, and ends the run.
         run.add(key, [], {"total": time.perf_counter() - begun}, failure=str(error))
         return False
-    run.add(key, estimates, {"total": time.perf_counter() - begun})
     return True

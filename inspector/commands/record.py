@@ -8,6 +8,8 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from tyro.conf import Positional
 
+from pipeline.exceptions import InputError
+
 
 @dataclass(frozen=True)
 class RecordConfig:
@@ -25,6 +27,7 @@ class RecordConfig:
 
 def run(config: RecordConfig, console: Console | None = None) -> int:
     """Record all targets and return the exit code: 1 if an image failed. InputError is left to the caller."""
+    from pipeline.bop.assessment import targets_of
     from pipeline.bop.dataset import open_dataset
     from pipeline.bop.results import read_results
     from pipeline.replay import Replay
@@ -33,12 +36,18 @@ def run(config: RecordConfig, console: Console | None = None) -> int:
 
     console = console or Console()
     dataset, results = open_dataset(config.dataset, config.split), read_results(config.results)
+    targets = targets_of(dataset, results)
+    if not targets:
+        raise InputError(
+            f"{config.results}: has nothing for the images of {config.dataset}; give the dataset it is for"
+        )
     bar = Progress(TextColumn("recording"), BarColumn(), TimeRemainingColumn(), console=console)
     with Run.create(config.out, dataset=dataset, method=results.method or config.results.stem) as made, bar:
-        made.save_models(dataset.model(obj_id) for obj_id in sorted({t.obj_id for t in dataset.targets()}))
+        made.save_models(dataset.model(obj_id) for obj_id in sorted({target.obj_id for target in targets}))
         task = bar.add_task("", total=1.0)
+        replay = Replay(dataset, results)
         failed = run_estimator(
-            Replay(dataset, results), dataset, made, progress=lambda p: bar.update(task, completed=p)
+            replay, dataset, made, targets=targets, progress=lambda share: bar.update(task, completed=share)
         )
     console.print(f"{escape(str(config.out))}: open it with: inspector serve {escape(str(config.out))}")
     return 1 if failed else 0

@@ -8,7 +8,8 @@
   const ARROWS = { ArrowDown: "next", ArrowUp: "previous", ArrowRight: "next_image", ArrowLeft: "previous_image" };
 
   let key = null; // names this browser's session; the server puts it into the page
-  let state = { version: 0, view: "image", columns: [], rows: 0 };
+  const NOTHING = { version: 0, view: "image", columns: [], rows: 0, selected: -1, legend: [], progress: [] };
+  let state = NOTHING;
 
   // ---------------------------------------------------------------- the channel to the server
   async function call(method, ...args) {
@@ -52,7 +53,7 @@
 
   function apply(next) {
     const before = state;
-    state = next;
+    state = { ...NOTHING, ...next };
     if (next.version === before.version) return;
     if (next.address !== undefined) showAddress(next.address);
     if (next.title) document.title = next.title;
@@ -123,7 +124,7 @@
     },
 
     reveal() {
-      if (state.selected === null || state.selected === undefined || state.selected < 0) return;
+      if (state.selected < 0) return;
       const top = state.selected * ROW_HEIGHT;
       const { scrollTop, clientHeight } = this.body;
       if (top < scrollTop || top + ROW_HEIGHT > scrollTop + clientHeight)
@@ -192,7 +193,7 @@
       this.root.dataset.view = state.view;
       this.root.classList.toggle("pi-busy", state.busy === true);
       this.legend.replaceChildren(
-        ...(state.legend ?? []).map((item) => {
+        ...state.legend.map((item) => {
           const line = element("div", `pi-legend-line ${item.class ?? ""}`);
           if (item.color) {
             const dot = element("span", "pi-dot");
@@ -209,7 +210,7 @@
         }),
       );
       this.progress.replaceChildren(
-        ...(state.progress ?? []).map((job) => {
+        ...state.progress.map((job) => {
           const line = element("div", "pi-job");
           const bar = element("div", "pi-bar");
           bar.style.width = `${Math.round(job.share * 100)}%`;

@@ -80,7 +80,7 @@ def assess(dataset: Dataset, results: Results | None, progress: Progress = lambd
     `inst_count` of highest score count, as in BOP. Images without ground truth give one row per estimate.
     Scenes and models that cannot be read are named in `problems`; the others are assessed.
     """
-    targets = _targets(dataset, results)
+    targets = targets_of(dataset, results)
     rows: list[_Row] = []
     problems: dict[str, None] = {}
     for done, target in enumerate(targets):
@@ -91,7 +91,7 @@ def assess(dataset: Dataset, results: Results | None, progress: Progress = lambd
         if done % 64 == 0:
             progress(done / len(targets))
     method = "ground truth" if results is None else results.method or "results"
-    return Assessment(method=method, problems=tuple(problems), **_columns(rows))
+    return Assessment(method=method, problems=tuple(problems), visibility_estimated=False, **_columns(rows))
 
 
 def with_vsd(
@@ -106,24 +106,14 @@ def with_vsd(
 
     Rows of images without depth, and without ground truth, stay NaN.
     """
-    from pipeline.bop.vsd import vsd_of_poses
-
     values = assessment.vsd.copy()
+    problems = dict.fromkeys(assessment.problems)
     for key, rows in _by_image(assessment, assessment.gt_index >= 0, progress):
-        depth = _depth(dataset, key)
-        if depth is None:
-            continue
-        camera, truths = dataset.camera(key), {gt.index: gt for gt in dataset.ground_truth(key)}
-        for row in rows:
-            if assessment.estimate[row] < 0:
-                values[row] = 1.0
-                continue
-            model = dataset.model(int(assessment.obj_id[row]))
-            estimate = results.estimate(int(assessment.estimate[row])).camera_from_model
-            truth = truths[int(assessment.gt_index[row])].camera_from_model
-            share = tau / model.diameter  # the tolerance is a fraction of the diameter there
-            values[row] = vsd_of_poses(model, camera, estimate, truth, depth, [share], delta).values[0]
-    return replace(assessment, vsd=values)
+        try:
+            values[rows] = _vsd_of_rows(dataset, results, assessment, key, rows, tau, delta)
+        except InputError as error:
+            problems[str(error)] = None
+    return replace(assessment, vsd=values, problems=tuple(problems))
 
 
 def with_visibility(dataset: Dataset, assessment: Assessment, progress: Progress = lambda _: None) -> Assessment:
@@ -146,8 +136,8 @@ def with_visibility(dataset: Dataset, assessment: Assessment, progress: Progress
     return replace(assessment, visible_fraction=fractions, visibility_estimated=True)
 
 
-def _targets(dataset: Dataset, results: Results | None) -> list[Target]:
-    """Targets of the dataset, and what a results file claims for images that have no ground truth."""
+def targets_of(dataset: Dataset, results: Results | None) -> list[Target]:
+    """The dataset's targets, and what a results file claims for images of scenes that have no ground truth."""
     targets = list(dataset.targets())
     if results is None:
         return targets
@@ -272,11 +262,31 @@ def _by_image(
         yield ImageKey(int(image[0]), int(image[1])), part
 
 
-def _depth(dataset: Dataset, key: ImageKey) -> Float[np.ndarray, "h w"] | None:
-    try:
-        return dataset.depth(key)
-    except InputError:
-        return None
+def _vsd_of_rows(
+    dataset: Dataset,
+    results: Results,
+    assessment: Assessment,
+    key: ImageKey,
+    rows: Int[np.ndarray, "k"],
+    tau: float,
+    delta: float,
+) -> Float[np.ndarray, "k"]:
+    """VSD of rows of one image; NaN without depth, 1 without an estimate."""
+    from pipeline.bop.vsd import vsd_of_poses
+
+    depth = dataset.depth(key)
+    if depth is None:
+        return np.full(len(rows), np.nan)
+    camera, truths = dataset.camera(key), {gt.index: gt for gt in dataset.ground_truth(key)}
+    values = np.ones(len(rows))
+    for place in np.flatnonzero(assessment.estimate[rows] >= 0):
+        row = rows[place]
+        model = dataset.model(int(assessment.obj_id[row]))
+        estimate = results.estimate(int(assessment.estimate[row])).camera_from_model
+        truth = truths[int(assessment.gt_index[row])].camera_from_model
+        share = tau / model.diameter  # the tolerance is a fraction of the diameter there
+        values[place] = vsd_of_poses(model, camera, estimate, truth, depth, [share], delta).values[0]
+    return values
 
 
 def _visible_fractions(dataset: Dataset, key: ImageKey) -> dict[int, float]:
