@@ -11,9 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import viser
 from jaxtyping import Float, Int, UInt8
+from scipy.spatial.transform import Rotation
 
 from inspector.viewport import plane_of
-from pipeline.scene import Camera
+from pipeline.scene import Camera, ImageKey
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,19 @@ class Lines:
     """Screen pixels."""
 
 
-Node = Picture | Mesh | Cloud | Lines
+@dataclass(frozen=True)
+class Viewpoint:
+    """The camera of another image; a click on it goes there."""
+
+    token: Hashable
+    image: ImageKey
+    camera: Camera
+    camera_from_other: Float[np.ndarray, "4 4"]
+    scale: float
+    """Metres; size of the drawn frustum."""
+
+
+Node = Picture | Mesh | Cloud | Lines | Viewpoint
 
 
 class _Shown(NamedTuple):
@@ -73,8 +86,10 @@ class _Shown(NamedTuple):
 class Canvas:
     """Keeps the nodes of one browser's scene equal to the last drawing."""
 
-    def __init__(self, client: viser.ClientHandle) -> None:
+    def __init__(self, client: viser.ClientHandle, on_pick: Callable[[ImageKey], None]) -> None:
+        """Draw for one browser; `on_pick` is told the image whose camera was clicked."""
         self._client = client
+        self._on_pick = on_pick
         self._shown: dict[str, _Shown] = {}
         self._lock = threading.Lock()
 
@@ -103,7 +118,10 @@ class Canvas:
                 self._shown[name] = _Shown(node, shown.handle)
                 return
         # Adding under the same name replaces the node in the browser without a gap.
-        self._shown[name] = _Shown(node, _ADD[type(node)](self._client.scene, f"/{name}", node))
+        handle = _ADD[type(node)](self._client.scene, f"/{name}", node)
+        if isinstance(node, Viewpoint):
+            handle.on_click(lambda _: self._on_pick(node.image))
+        self._shown[name] = _Shown(node, handle)
 
 
 def _looks(node: Node) -> tuple:
@@ -117,6 +135,8 @@ def _looks(node: Node) -> tuple:
             return (node.size,)
         case Lines():
             return (node.color, node.width)
+        case Viewpoint():
+            return (node.scale,)
 
 
 def _place(handle: Any, node: Node) -> None:
@@ -175,9 +195,27 @@ def _add_lines(scene: viser.SceneApi, name: str, node: Lines) -> viser.LineSegme
     )
 
 
+def _add_viewpoint(scene: viser.SceneApi, name: str, node: Viewpoint) -> viser.CameraFrustumHandle:
+    rotation = Rotation.from_matrix(node.camera_from_other[:3, :3])
+    return scene.add_camera_frustum(
+        name,
+        fov=2 * float(np.arctan(node.camera.height / (2 * node.camera.K[1, 1]))),
+        aspect=node.camera.width / node.camera.height,
+        scale=node.scale,
+        thickness=1.5,
+        thickness_units="screen",
+        color=(110, 150, 220),
+        cast_shadow=False,
+        receive_shadow=False,
+        wxyz=rotation.as_quat(scalar_first=True),
+        position=node.camera_from_other[:3, 3],
+    )
+
+
 _ADD: dict[type, Callable[[viser.SceneApi, str, Any], Any]] = {
     Picture: _add_picture,
     Mesh: _add_mesh,
     Cloud: _add_cloud,
     Lines: _add_lines,
+    Viewpoint: _add_viewpoint,
 }

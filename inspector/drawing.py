@@ -8,14 +8,14 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from inspector import layers
-from inspector.canvas import Cloud, Lines, Mesh, Node, Picture
+from inspector.canvas import Cloud, Lines, Mesh, Node, Picture, Viewpoint
 from inspector.frame import ROLES, Frame, Role
 from inspector.layers import ColorScale, Rgba
 from inspector.recorded import layer_of
 from inspector.selection import Display, Selection
 from pipeline import geometry
 from pipeline.exceptions import InputError
-from pipeline.scene import Model
+from pipeline.scene import ImageKey, Model
 
 COLORS: dict[Role, tuple[int, int, int]] = {
     "ground_truth": layers.GROUND_TRUTH,
@@ -166,7 +166,7 @@ class _Draughtsman:
         mask = self.frame.silhouette(role)
         assert mask is not None
         fill = 0.45 * self.display.opacity if self.display.style == "fill" else 0.0
-        thickness = self.frame.fineness
+        thickness = 1 if self.frame.fineness == 1 else 3  # in fine pixels, towards the inside
         return layers.silhouette(mask, COLORS[role], fill=fill, opacity=self.display.opacity, thickness=thickness)
 
     def _wiped(self) -> Rgba:
@@ -214,8 +214,10 @@ class _Draughtsman:
         corners = _corners(self.frame, FRUSTUM * self.nearest)
         self.nodes["frustum"] = Lines(corners.tobytes(), corners, (150, 150, 150), width=1.5)
         for im_id, camera_from_other in self.frame.neighbours:
-            segments = geometry.transform_points(camera_from_other, _corners(self.frame, 0.5 * FRUSTUM * self.nearest))
-            self.nodes[f"cameras/{im_id}"] = Lines(segments.tobytes(), segments, (110, 130, 160), width=1.0)
+            image = ImageKey(self.frame.key.scene_id, im_id)
+            token = (self.frame.key, image)
+            scale = 0.4 * FRUSTUM * self.nearest
+            self.nodes[f"cameras/{im_id}"] = Viewpoint(token, image, self.frame.camera, camera_from_other, scale)
 
 
 def _depth_overlay(frame: Frame, display: Display) -> tuple[Rgba, ColorScale]:

@@ -5,6 +5,7 @@ import viser
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from inspector.selection import NO_EYE
 from inspector.viewport import LOOK_DISTANCE, Viewport, fitting_scale, image_center
 from pipeline.scene import Camera
 
@@ -40,17 +41,28 @@ class Navigation:
         self._viewport = Viewport(camera, *self.window, zoom, pixel)
         self._lock()
 
-    def show_scene(self, target: Float[np.ndarray, "3"]) -> None:
-        """Look at a point of the camera frame from beside and above the image's camera, free to move from there."""
+    def show_scene(self, target: Float[np.ndarray, "3"], eye: tuple[float, ...] = NO_EYE) -> None:
+        """Look at a point of the camera frame, free to move from there.
+
+        Without an `eye` (position and point looked at) from beside and above the image's camera.
+        """
         self._viewport = None
         sideways = Rotation.from_euler("yx", [25, -12], degrees=True)
         position = target + sideways.apply(-target) * 0.9
+        if eye != NO_EYE:
+            position, target = np.array(eye[:3]), np.array(eye[3:])
         with self._client.atomic():
             self._limit_orbit(0.01, 1e3)
             self._camera.up_direction = (0.0, -1.0, 0.0)
             self._camera.fov = FOV_3D
             self._camera.position = position
             self._camera.look_at = target
+
+    def eye(self) -> tuple[float, ...] | None:
+        """Position of the camera and the point that it looks at in 3D, to the millimetre; None in 2D."""
+        if self._viewport is not None:
+            return None
+        return tuple(float(x) for x in np.round([*self._camera.position, *self._camera.look_at], 3))
 
     def hold(self) -> None:
         """In 2D, undo what moved the camera (viser's own keys and gestures)."""

@@ -18,6 +18,10 @@ DEFAULT_THRESHOLDS: dict[Criterion, float] = {"mssd": 0.2, "mspd": 20.0, "vsd": 
 """Thresholds of correctness: fractions of the diameter for MSSD and ADD, pixels at 640 px width for MSPD, VSD plain."""
 
 
+NO_EYE = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+"""In 3D, look from where the view starts."""
+
+
 class RowKey(NamedTuple):
     """Names a row of the target table: a ground-truth instance, or an estimate that has none (`gt_index` -1)."""
 
@@ -92,6 +96,10 @@ class Selection:
     center_u: float = 0.5
     center_v: float = 0.5
     """Point of the image in the middle of the window, as a share of its width and height."""
+    follow: bool = False
+    """Zoom to the object of every row that is gone to."""
+    eye: tuple[float, float, float, float, float, float] = NO_EYE
+    """Position of the browser's camera in 3D and the point that it looks at, camera frame of the image, metres."""
     dark: bool = True
     filter: Filter = field(default_factory=Filter)
     display: Display = field(default_factory=Display)
@@ -100,6 +108,13 @@ class Selection:
     def threshold(self) -> float:
         """Threshold of the criterion in force."""
         return self.thresholds[list(DEFAULT_THRESHOLDS).index(self.criterion)]
+
+    def same_picture(self, other: "Selection") -> bool:
+        """Whether two selections differ at most in zoom and point of view."""
+        here = replace(
+            self, zoom=other.zoom, center_u=other.center_u, center_v=other.center_v, eye=other.eye, follow=other.follow
+        )
+        return here == other
 
     @property
     def table_key(self) -> tuple:

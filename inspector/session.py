@@ -22,7 +22,7 @@ from inspector.navigation import Navigation
 from inspector.page import PageChannel
 from inspector.panels import VIEWS
 from inspector.rerun_panel import RerunPanel
-from inspector.selection import Selection, from_query, to_query
+from inspector.selection import NO_EYE, RowKey, Selection, from_query, to_query
 from inspector.snapshot import snapshot
 from inspector.steering import Steering
 from inspector.table import COLUMNS, Table, make_table
@@ -33,6 +33,7 @@ from pipeline.exceptions import InputError
 
 log = logging.getLogger(__name__)
 
+WHOLE_IMAGE: dict[str, Any] = {"zoom": 1.0, "center_u": 0.5, "center_v": 0.5}
 LEFT_WIDTH, RIGHT_WIDTH = 460, 400
 """CSS pixels of the docked panels when they open."""
 
@@ -56,7 +57,7 @@ class Session:
         self.channel = PageChannel(loop, self.steering.methods())
         self._first = first
         self._lock = threading.RLock()
-        self._canvas = Canvas(client)
+        self._canvas = Canvas(client, self.steering.look_at_image)
         self._worker = LatestWins(f"browser {client.client_id}", self._failed)
         self._table_made_from: object = None
         self._seen_from: object = None
@@ -66,7 +67,7 @@ class Session:
         self._build()
         self._stop_listening = workspace.listen(self.refresh)
         self._blinker = Blinker(self._canvas, lambda: self.selection.display.blink)
-        client.camera.on_update(lambda _: self.navigation.hold())
+        client.camera.on_update(lambda _: self._camera_moved())
 
     def close(self) -> None:
         """End all work for this browser."""
@@ -84,7 +85,17 @@ class Session:
                 fields["display"] = replace(self.selection.display, **display)
             if filter:
                 fields["filter"] = replace(self.selection.filter, **filter)
+            fields = self._of_another_row(fields.get("row")) | fields
             self.update(replace(self.selection, **fields))
+
+    def _of_another_row(self, row: RowKey | None) -> dict[str, Any]:
+        """What else changes with the row: the point of view in 3D, and the zoom with the image."""
+        old = self.selection.row
+        if row is None or row == old:
+            return {}
+        if old is not None and row[:2] != old[:2] and not self.selection.follow:
+            return {"eye": NO_EYE, **WHOLE_IMAGE}
+        return {"eye": NO_EYE}
 
     def update(self, selection: Selection) -> None:
         """Look at something else."""
@@ -94,7 +105,7 @@ class Session:
             old, self.selection = self.selection, selection
         if selection.dark != old.dark:
             self._theme()
-        if replace(selection, zoom=old.zoom, center_u=old.center_u, center_v=old.center_v) == old:
+        if selection.same_picture(old):
             self.aim()
             self._publish()
         else:
@@ -119,10 +130,14 @@ class Session:
 
     def fit(self) -> None:
         """Show the whole image."""
-        self.change(zoom=1.0, center_u=0.5, center_v=0.5)
+        self.change(follow=False, **WHOLE_IMAGE)
 
     def zoom_to_object(self) -> None:
-        """Show the object of the row as large as fits."""
+        """Show the object of the row as large as fits, and from now on that of every row gone to."""
+        self.change(follow=True, view="image")
+        self._follow()
+
+    def _follow(self) -> None:
         frame = self.frame
         masks = [] if frame is None else [m for role in ROLES if (m := frame.silhouette(role)) is not None and m.any()]
         if frame is None or not masks:
@@ -130,7 +145,7 @@ class Session:
         v, u = np.nonzero(np.logical_or.reduce(masks))
         box = np.array([u.min(), v.min(), u.max(), v.max()]) / frame.fineness
         zoom, (center_u, center_v) = self.navigation.around(frame.camera, tuple(box))
-        self.change(zoom=zoom, center_u=center_u, center_v=center_v, view="image")
+        self.change(zoom=zoom, center_u=center_u, center_v=center_v)
 
     def help(self) -> None:
         """Show all commands and keys."""
@@ -158,9 +173,16 @@ class Session:
             self.navigation.show_image(frame.camera, selection.zoom, (selection.center_u, selection.center_v))
             self._seen_from = None
         elif self._seen_from != frame.row:  # moving about in 3D is the person's own from here on
-            pose = next((p for role in ROLES if (p := frame.pose(role)) is not None), None)
-            self.navigation.show_scene(np.array([0, 0, 1.0]) if pose is None else pose[:3, 3])
             self._seen_from = frame.row
+            pose = next((p for role in ROLES if (p := frame.pose(role)) is not None), None)
+            self.navigation.show_scene(np.array([0, 0, 1.0]) if pose is None else pose[:3, 3], selection.eye)
+
+    def _camera_moved(self) -> None:
+        eye = self.navigation.eye()
+        if eye is None:
+            self.navigation.hold()
+        elif self.selection.view == "scene":
+            self.change(eye=eye)
 
     # ------------------------------------------------------------------ showing, on the worker thread
     def _show(self) -> None:
@@ -171,7 +193,12 @@ class Session:
         selection = self.selection
         wanted = frame_of(self.workspace, selection)
         if wanted != self.frame:  # else the old one is as good, and knows more
+            followed = (
+                self.frame is not None and wanted is not None and wanted.row != self.frame.row and selection.follow
+            )
             self.frame = wanted
+            if followed:
+                self._follow()
         lines = self._draw(self.frame, selection)
         self._publish(legend=lines)
         unseen = self._update_views(self.frame, selection)

@@ -7,6 +7,7 @@ import numpy as np
 
 from inspector.pointing import hit, readout
 from inspector.table import COLUMNS
+from pipeline.scene import ImageKey
 
 if TYPE_CHECKING:
     from inspector.session import Session
@@ -59,7 +60,7 @@ class Steering:
             self.select(int(np.clip(position + by, 0, len(table) - 1)) if position >= 0 else 0)
 
     def step_image(self, by: int) -> None:
-        """Go to the first row of the next image (in the order of images) that has one in the table."""
+        """Go to the next image (in the order of images) that has a row in the table."""
         table, row = self._session.table, self._session.selection.row
         if table is None or not len(table):
             return
@@ -68,9 +69,18 @@ class Steering:
         here = (row.scene_id, row.im_id) if row is not None else images[0]
         beyond = [image for image in images if (image > here if by > 0 else image < here)]
         if beyond:
-            wanted = beyond[0] if by > 0 else beyond[-1]
-            found = np.flatnonzero((a.scene_id[rows] == wanted[0]) & (a.im_id[rows] == wanted[1]))
-            self.select(int(found[0]))
+            self.look_at_image(ImageKey(*(beyond[0] if by > 0 else beyond[-1])))
+
+    def look_at_image(self, image: ImageKey) -> None:
+        """Go to an image: to the row of the same object there, else to its first row."""
+        table, row = self._session.table, self._session.selection.row
+        if table is None:
+            return
+        a, rows = table.assessment, table.order
+        found = np.flatnonzero((a.scene_id[rows] == image.scene_id) & (a.im_id[rows] == image.im_id))
+        same = [i for i in found if row is not None and a.obj_id[rows[i]] == row.obj_id]
+        if len(found):
+            self.select(int((same or found)[0]))
 
     def sort(self, column: str) -> None:
         """Sort by a column; by the same one again in the other direction."""
@@ -84,14 +94,14 @@ class Steering:
         navigation = self._session.navigation
         if navigation.viewport is not None:
             zoom, (u, v) = navigation.zoomed(float(x), float(y), float(factor))
-            self._session.change(zoom=zoom, center_u=u, center_v=v)
+            self._session.change(zoom=zoom, center_u=u, center_v=v, follow=False)
 
     def pan(self, dx: float, dy: float) -> None:
         """Drag the image by CSS pixels."""
         navigation = self._session.navigation
         if navigation.viewport is not None:
             u, v = navigation.panned(float(dx), float(dy))
-            self._session.change(center_u=u, center_v=v)
+            self._session.change(center_u=u, center_v=v, follow=False)
 
     def resize(self, width: int, height: int) -> None:
         """Take note of the window's size in CSS pixels."""

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.markup import escape
@@ -9,6 +10,10 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from tyro.conf import Positional
 
 from pipeline.exceptions import InputError
+
+if TYPE_CHECKING:
+    from pipeline.bop.dataset import Dataset
+    from pipeline.scene import Model, Target
 
 
 @dataclass(frozen=True)
@@ -43,7 +48,7 @@ def run(config: RecordConfig, console: Console | None = None) -> int:
         )
     bar = Progress(TextColumn("recording"), BarColumn(), TimeRemainingColumn(), console=console)
     with Run.create(config.out, dataset=dataset, method=results.method or config.results.stem) as made, bar:
-        made.save_models(dataset.model(obj_id) for obj_id in sorted({target.obj_id for target in targets}))
+        made.save_models(_models(dataset, targets, console))
         task = bar.add_task("", total=1.0)
         replay = Replay(dataset, results)
         failed = run_estimator(
@@ -51,3 +56,14 @@ def run(config: RecordConfig, console: Console | None = None) -> int:
         )
     console.print(f"{escape(str(config.out))}: open it with: inspector serve {escape(str(config.out))}")
     return 1 if failed else 0
+
+
+def _models(dataset: "Dataset", targets: "list[Target]", console: Console) -> "list[Model]":
+    """Models of the targets' objects; one that cannot be read is named and left out."""
+    models = []
+    for obj_id in sorted({target.obj_id for target in targets}):
+        try:
+            models.append(dataset.model(obj_id))
+        except InputError as error:
+            console.print(f"[yellow]left out:[/yellow] {escape(str(error))}", soft_wrap=True)
+    return models
