@@ -22,6 +22,8 @@ COLORS: dict[Role, tuple[int, int, int]] = {
     "estimate": layers.ESTIMATE,
     "compared": layers.COMPARED,
 }
+LEVELS: dict[Role, int] = {"compared": 0, "estimate": 1, "ground_truth": 2}
+"""Order of the outlines; those on top are thinner, so that equal poses show all their colours."""
 WITNESS_COLORS = ((255, 60, 60), (255, 200, 0))
 """Of the lines between the vertices that decide MSSD and MSPD."""
 BEHIND = 5.0
@@ -143,8 +145,8 @@ class _Draughtsman:
         if display.wipe and {"ground_truth", "estimate"} <= set(roles):
             self._picture("estimate", (*token, display.wipe_position), self._wiped, 4)
             roles = [role for role in roles if role not in ("ground_truth", "estimate")]
-        for level, role in enumerate(roles):
-            self._picture(role, token, partial(self._silhouette, role), 4 + level)
+        for role in roles:
+            self._picture(role, token, partial(self._silhouette, role), 4 + LEVELS[role])
 
     def _others(self) -> None:
         if self.image_view and self.frame.others:
@@ -166,7 +168,7 @@ class _Draughtsman:
         mask = self.frame.silhouette(role)
         assert mask is not None
         fill = 0.45 * self.display.opacity if self.display.style == "fill" else 0.0
-        thickness = 1 if self.frame.fineness == 1 else 3  # in fine pixels, towards the inside
+        thickness = 4 - LEVELS[role] if self.frame.fineness > 1 else 1  # fine pixels, towards the inside
         return layers.silhouette(mask, COLORS[role], fill=fill, opacity=self.display.opacity, thickness=thickness)
 
     def _wiped(self) -> Rgba:
@@ -206,7 +208,7 @@ class _Draughtsman:
         if self.frame.image.depth is None:
             self.warnings.append("no depth in this image: no point cloud")
             return
-        size = 1.5 * self.nearest / self.frame.camera.K[0, 0]
+        size = 0.9 * self.nearest / self.frame.camera.K[0, 0]
         self.nodes["points"] = Cloud((self.frame.key, "points"), partial(_cloud, self.frame), size=size)
 
     def _cameras(self) -> None:

@@ -108,7 +108,7 @@ class Navigation:
         assert view is not None
         with self._client.atomic():
             self._limit_orbit(LOOK_DISTANCE, LOOK_DISTANCE)
-            self._camera.up_direction = (0.0, -1.0, 0.0)
+            self._camera.up_direction = -view.camera_from_view[:, 1]
             self._camera.fov = view.fov
             self._camera.position = (0.0, 0.0, 0.0)
             self._camera.look_at = view.look_at

@@ -44,7 +44,7 @@ class Display:
     others: bool = False
     """Also all other instances of the image."""
     style: Style = "contour"
-    opacity: float = 0.8
+    opacity: float = 1.0
     """Opacity of the overlays, 0..1."""
     blink: bool = False
     wipe: bool = False

@@ -193,11 +193,9 @@ class Session:
         selection = self.selection
         wanted = frame_of(self.workspace, selection)
         if wanted != self.frame:  # else the old one is as good, and knows more
-            followed = (
-                self.frame is not None and wanted is not None and wanted.row != self.frame.row and selection.follow
-            )
+            elsewhere = self.frame is None or wanted is None or wanted.row != self.frame.row
             self.frame = wanted
-            if followed:
+            if elsewhere and selection.follow:
                 self._follow()
         lines = self._draw(self.frame, selection)
         self._publish(legend=lines)

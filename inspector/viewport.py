@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from pipeline.scene import Camera
 
@@ -77,12 +78,17 @@ def fitting_scale(camera: Camera, window_width: int, window_height: int) -> floa
 
 
 def _looking_at(camera: Camera, pixel: tuple[float, float]) -> Float[np.ndarray, "3 3"]:
-    """Rotation, in the camera's frame, of a level camera in the same place that looks at a pixel."""
-    forward = np.linalg.solve(camera.K, (*pixel, 1.0))
-    forward /= np.linalg.norm(forward)
-    right = np.cross((0.0, 1.0, 0.0), forward)
-    right /= np.linalg.norm(right)
-    return np.stack([right, np.cross(forward, right), forward], axis=1)
+    """The smallest rotation, in the camera's frame, after which a camera in the same place looks at a pixel.
+
+    So the image's edges stay as upright and level in the window as they can.
+    """
+    x, y, _ = forward = _unit(np.linalg.solve(camera.K, (*pixel, 1.0)))
+    turn = np.array([-y, x, 0.0])  # axis times sine of the angle, from the z axis to `forward`
+    return Rotation.from_rotvec(turn * (np.arccos(forward[2]) / (np.linalg.norm(turn) or 1.0))).as_matrix()
+
+
+def _unit(vector: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    return vector / np.linalg.norm(vector)
 
 
 def image_center(camera: Camera) -> tuple[float, float]:

@@ -11,6 +11,7 @@ from pipeline.bop.assessment import pair
 from pipeline.bop.dataset import Dataset
 from pipeline.bop.results import Results
 from pipeline.bop.vsd import vsd_of_poses
+from pipeline.exceptions import InputError
 from pipeline.recording import StageRecorder
 from pipeline.scene import Image, PoseEstimate, Target
 
@@ -31,7 +32,10 @@ class Replay:
         for target in targets:
             found += self._results.estimates(target.image, target.obj_id)[: target.inst_count]
             if recorder.enabled and image.depth is not None:
-                self._record_vsd(image, target, recorder)
+                try:
+                    self._record_vsd(image, target, recorder)
+                except InputError as error:  # the poses can be shown even so
+                    recorder.text("log", str(error), level="WARN")
         return found
 
     def _record_vsd(self, image: Image, target: Target, recorder: StageRecorder) -> None:
