@@ -27,7 +27,8 @@ def main() -> None:
         "doctor": (DoctorConfig, run_doctor),
         "download": (DownloadConfig, run_download),
     }
-    logging.basicConfig(level=os.environ.get("INSPECTOR_LOG", "WARNING").upper(), format="%(name)s: %(message)s")
+    level = logging.getLevelNamesMapping().get(os.environ.get("INSPECTOR_LOG", "").upper(), logging.WARNING)
+    logging.basicConfig(level=level, format="%(name)s: %(message)s")
     config = tyro.extras.subcommand_cli_from_dict(
         {name: kind for name, (kind, _) in commands.items()},
         prog="inspector",
@@ -38,6 +39,10 @@ def main() -> None:
         sys.exit(run(config))
     except InputError as error:
         Console(stderr=True, highlight=False).print(f"[bold red]error:[/bold red] {escape(str(error))}", soft_wrap=True)
+        sys.exit(2)
+    except OSError as error:
+        text = f"{error.filename or 'the system'}: {error.strerror}; check the path and its permissions"
+        Console(stderr=True, highlight=False).print(f"[bold red]error:[/bold red] {escape(text)}", soft_wrap=True)
         sys.exit(2)
     except KeyboardInterrupt:
         sys.exit(130)

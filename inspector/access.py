@@ -24,7 +24,7 @@ import socket
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 from urllib.parse import parse_qs
 
 from pipeline.exceptions import InputError
@@ -34,6 +34,7 @@ _TOKEN = re.compile(r"[A-Za-z0-9_-]{16,}", re.ASCII)  # goes unquoted into a URL
 _FOREIGN_SOURCES = ("websocket", "playbackPath")
 
 
+@runtime_checkable
 class Headers(Protocol):
     """What is used of `websockets.Headers`: names are case-insensitive and may repeat."""
 

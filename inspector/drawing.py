@@ -23,7 +23,7 @@ COLORS: dict[Role, tuple[int, int, int]] = {
     "compared": layers.COMPARED,
 }
 LEVELS: dict[Role, int] = {"compared": 0, "estimate": 1, "ground_truth": 2}
-"""Order of the outlines; those on top are thinner, so that equal poses show all their colours."""
+"""Order of the outlines, far to near; those on top are thinner, so that equal poses show all their colours."""
 WITNESS_COLORS = ((255, 60, 60), (255, 200, 0))
 """Of the lines between the vertices that decide MSSD and MSPD."""
 BEHIND = 5.0
@@ -58,7 +58,7 @@ class _Draughtsman:
         self.image_view = selection.view == "image"
         self.nodes: dict[str, Node] = {}
         self.scales: list[ColorScale] = []
-        self.warnings: list[str] = []
+        self.warnings: list[str] = list(frame.problems)
         poses = [pose for role in COLORS if (pose := frame.pose(role)) is not None and np.isfinite(pose).all()]
         depths = [float(pose[2, 3]) for pose in poses if pose[2, 3] > 0] or [1.0]
         self.nearest, self.farthest = min(depths), max(depths)
@@ -73,11 +73,11 @@ class _Draughtsman:
         return Drawing(self.nodes, tuple(self.scales), tuple(dict.fromkeys(self.warnings)))
 
     def _picture(
-        self, name: str, token: Hashable, pixels: Callable[[], UInt8[np.ndarray, "h w c"]], level: float
+        self, name: str, token: Hashable, pixels: Callable[[], UInt8[np.ndarray, "h w c"]], level: int
     ) -> None:
         """Add a layer: behind everything in 2D, on the image plane of the small frustum in 3D."""
         z = max(BEHIND, 2 * self.farthest) if self.image_view else FRUSTUM * self.nearest
-        self.nodes[name] = Picture((*self._about, name, token), pixels, self.frame.camera, z * (1 - 2e-4 * level))
+        self.nodes[name] = Picture((*self._about, name, token), pixels, self.frame.camera, z * (1 - 2e-5 * level))
 
     @property
     def _about(self) -> tuple:
@@ -86,7 +86,7 @@ class _Draughtsman:
 
     def _image(self) -> None:
         rgb = self.frame.image.rgb
-        if rgb is None:
+        if rgb is None and not self.frame.problems:
             self.warnings.append("this image has no colour or gray channel")
         if self.display.image and rgb is not None:
             self._picture("image", (), lambda: rgb, 0)
@@ -103,7 +103,7 @@ class _Draughtsman:
             return
         layer, scale = _depth_overlay(self.frame, self.display)
         token = (self.display.depth, self.display.opacity)
-        self._picture("depth", token, partial(layers.upsampled, layer, self.frame.fineness), 1)
+        self._picture("depth", token, partial(layers.upsampled, layer, self.frame.fineness), 10)
         self.scales.append(scale)
 
     def _masks(self) -> None:
@@ -113,7 +113,7 @@ class _Draughtsman:
         if not masks:
             self.warnings.append("the dataset has no masks for this image (inspector doctor says more)")
             return
-        self._picture("masks", (), lambda: _mask_overlay(masks, self.frame.fineness), 2)
+        self._picture("masks", (), lambda: _mask_overlay(masks, self.frame.fineness), 20)
 
     def _recorded(self) -> None:
         path = self.display.recorded
@@ -126,7 +126,7 @@ class _Draughtsman:
         size = (self.frame.camera.width, self.frame.camera.height)
         layer, scale = layer_of(reader.read(path), size, self.display.opacity)
         token = (path, self.display.opacity)
-        self._picture("recorded", token, partial(layers.upsampled, layer, self.frame.fineness), 2.5)
+        self._picture("recorded", token, partial(layers.upsampled, layer, self.frame.fineness), 25)
         if scale is not None:
             self.scales.append(scale)
 
@@ -143,14 +143,14 @@ class _Draughtsman:
             return
         token = (display.style, display.opacity)
         if display.wipe and {"ground_truth", "estimate"} <= set(roles):
-            self._picture("estimate", (*token, display.wipe_position), self._wiped, 4)
+            self._picture("estimate", (*token, display.wipe_position), self._wiped, 40)
             roles = [role for role in roles if role not in ("ground_truth", "estimate")]
         for role in roles:
-            self._picture(role, token, partial(self._silhouette, role), 4 + LEVELS[role])
+            self._picture(role, token, partial(self._silhouette, role), 40 + 10 * LEVELS[role])
 
     def _others(self) -> None:
         if self.image_view and self.frame.others:
-            self._picture("others", self.display.style, self._other_contours, 3)
+            self._picture("others", self.display.style, self._other_contours, 30)
         for position, other in enumerate(self.frame.others if not self.image_view else ()):
             self._mesh(f"others/{position}", other.model, other.camera_from_model, layers.OTHERS, 0.6, False)
 

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 
 from inspector.layers import supersampled
 from inspector.selection import RowKey, Selection
-from inspector.workspace import Workspace
+from inspector.workspace import LoadedImage, Workspace
 from pipeline.bop.errors import Mspd, Mssd, Pose, mspd, mssd
 from pipeline.bop.vsd import TAUS, Vsd, vsd
 from pipeline.exceptions import InputError
@@ -54,13 +54,22 @@ class Frame:
         return ImageKey(self.row.scene_id, self.row.im_id)
 
     @cached_property
-    def image(self) -> Image:
-        """The image with its camera; InputError if it cannot be read."""
+    def _loaded(self) -> LoadedImage:
         return self.workspace.image(self.key)
 
     @property
+    def image(self) -> Image:
+        """The image with its camera, as far as it can be read."""
+        return self._loaded.image
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """What of the image cannot be read, one line each."""
+        return self._loaded.problems
+
+    @property
     def camera(self) -> Camera:
-        """Camera of the image."""
+        """Camera of the image; InputError if it cannot be read."""
         return self.image.camera
 
     @cached_property

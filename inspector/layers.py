@@ -138,7 +138,7 @@ def label_colors(count: int) -> list[tuple[int, int, int]]:
     return [(int(r), int(g), int(b)) for r, g, b in cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB)[0]]
 
 
-def upsampled(layer: Rgba, factor: int) -> Rgba:
+def upsampled(layer: Rgba, factor: int) -> UInt8[np.ndarray, "H W 4"]:
     """Repeat every pixel `factor` times in both directions, because the browser's textures are bilinear."""
     return layer if factor == 1 else layer.repeat(factor, axis=0).repeat(factor, axis=1)
 

@@ -1,10 +1,13 @@
 """From the paths of a command line to a workspace."""
 
+from collections.abc import Iterable
 from pathlib import Path
+
+import numpy as np
 
 from inspector.workspace import Method, Workspace
 from pipeline.bop.dataset import Dataset, open_dataset
-from pipeline.bop.results import read_results
+from pipeline.bop.results import Results, read_results
 from pipeline.exceptions import InputError, MissingFileError
 from pipeline.run import RUN_FILE, Run
 
@@ -19,8 +22,35 @@ def open_workspace(path: Path, results: tuple[Path, ...] = (), split: str | None
     if (path / RUN_FILE).exists():
         run = Run.open(path)
         own = Method(run.info.method, read_results(run.results_path), run.results_path)
-        return Workspace(_dataset_of(run), (own, *map(_method, results)), run)
-    return Workspace(open_dataset(path, split), tuple(map(_method, results)))
+        dataset, methods = _dataset_of(run), (own, *map(_method, results))
+        return Workspace(dataset, methods, run, notes_on(dataset, methods))
+    dataset, methods = open_dataset(path, split), tuple(map(_method, results))
+    return Workspace(dataset, methods, notes=notes_on(dataset, methods))
+
+
+def notes_on(dataset: Dataset, methods: Iterable[Method]) -> tuple[str, ...]:
+    """Say which results files seem to be for other data, one line each."""
+    notes = []
+    for method in methods:
+        results = method.results
+        if results.dataset_name and results.dataset_name != dataset.name:
+            notes.append(
+                f"{method.path}: by its name for {results.dataset_name}, opened with {dataset.name}; check both"
+            )
+        foreign = _rows_elsewhere(dataset, results)
+        if foreign:
+            notes.append(
+                f"{method.path}: {foreign} of {len(results)} rows are for images that are not in "
+                f"{dataset.name}/{dataset.split}; they are left out"
+            )
+    return tuple(notes)
+
+
+def _rows_elsewhere(dataset: Dataset, results: Results) -> int:
+    images, rows = np.unique(np.stack([results.scene_id, results.im_id], axis=1), axis=0, return_counts=True)
+    scenes = {int(scene) for scene in images[:, 0]} & set(dataset.scene_ids)
+    here = {(scene, image) for scene in scenes for image in dataset.image_ids(scene)}
+    return int(sum(count for image, count in zip(images.tolist(), rows, strict=True) if tuple(image) not in here))
 
 
 def _method(path: Path) -> Method:

@@ -14,6 +14,8 @@ from concurrent.futures import ThreadPoolExecutor
 from importlib import resources
 from typing import Any
 
+from pipeline.exceptions import InputError
+
 log = logging.getLogger(__name__)
 
 HEAD = '<link rel="stylesheet" href="/inspector.css"><script src="/inspector.js"></script>'
@@ -54,6 +56,9 @@ class PageChannel:
             return None
         try:
             return await self._loop.run_in_executor(self._executor, lambda: self._methods[method](*arguments))
+        except InputError as error:  # what cannot be shown says so in the picture already
+            log.info("the call %s of a page: %s", method, error)
+            return None
         except Exception:
             log.exception("the call %s%s of a page failed", method, tuple(arguments))
             return None

@@ -187,7 +187,7 @@ def _read(default, values: dict[str, str], prefix: str):
     changes = {}
     for item in fields(default):
         text = values.get(prefix + item.name)
-        if text is None:
+        if text is None or isinstance(getattr(default, item.name), Filter | Display):
             continue
         try:
             changes[item.name] = _from_text(prefix + item.name, text, getattr(default, item.name))

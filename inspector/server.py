@@ -18,7 +18,7 @@ import threading
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, no_type_check
 
 import rich
 import viser
@@ -203,6 +203,7 @@ def _silence_viser() -> None:
     """Drop what viser prints, whatever its `verbose`; everybody else's `rich.print` works as before."""
     original = rich.print
 
+    @no_type_check  # a checker's wrapper would be one more frame between the caller and us
     def print_unless_viser(*objects: Any, **options: Any) -> None:
         if not sys._getframe(1).f_globals.get("__name__", "").startswith("viser."):
             original(*objects, **options)

@@ -125,8 +125,11 @@ class Session:
     def command(self, name: str) -> None:
         """Run a command of the table in `keys`, as its key or the palette does."""
         found = next((command for command in COMMANDS if command.name == name), None)
-        if found is not None:
-            found.run(self)
+        try:
+            if found is not None:
+                found.run(self)
+        except InputError as error:
+            self.client.add_notification("This cannot be done", str(error), color="orange")
 
     def fit(self) -> None:
         """Show the whole image."""
@@ -162,15 +165,20 @@ class Session:
             name = (
                 f"{self.workspace.dataset.name}_{row.scene_id}_{row.im_id}_object{row.obj_id}_{self.selection.view}.png"
             )
-            self.client.send_file_download(name, html.png(snapshot(self.client, frame, self.selection)))
+            picture = html.png(snapshot(self.client, frame, self.selection))
+            self.client.send_file_download(name, picture, save_immediately=True)
 
     def aim(self) -> None:
         """Turn the camera to what the selection says."""
         frame, selection = self.frame, self.selection
-        if frame is None:
+        try:
+            camera = None if frame is None else frame.camera
+        except InputError:  # the legend says it
+            camera = None
+        if frame is None or camera is None:
             return
         if selection.view == "image":
-            self.navigation.show_image(frame.camera, selection.zoom, (selection.center_u, selection.center_v))
+            self.navigation.show_image(camera, selection.zoom, (selection.center_u, selection.center_v))
             self._seen_from = None
         elif self._seen_from != frame.row:  # moving about in 3D is the person's own from here on
             self._seen_from = frame.row

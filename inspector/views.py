@@ -6,7 +6,7 @@ keep a thread of its own; long work belongs into the frame (kept for the next ti
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import viser
 
@@ -34,6 +34,7 @@ class Context:
         return self.client.gui
 
 
+@runtime_checkable
 class View(Protocol):
     """One tab: built once per browser, updated with every change of what is looked at."""
 

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from inspector.recording_server import RecordingServer
 from inspector.selection import RowKey, Selection
@@ -48,14 +48,24 @@ class Method:
     path: Path
 
 
+class LoadedImage(NamedTuple):
+    """An image as far as it could be read."""
+
+    image: Image
+    problems: tuple[str, ...]
+    """Why a channel is missing that should be there, one line each."""
+
+
 class Workspace:
     """The data behind all browsers; assessments appear as they are finished, and listeners are told.
 
     Everything here may be used from any thread.
     """
 
-    def __init__(self, dataset: Dataset, methods: tuple[Method, ...] = (), run: Run | None = None) -> None:
-        """Hold a dataset and methods; of a run, the first method is its own results file."""
+    def __init__(
+        self, dataset: Dataset, methods: tuple[Method, ...] = (), run: Run | None = None, notes: tuple[str, ...] = ()
+    ) -> None:
+        """Hold a dataset and methods; of a run, the first method is its own results file. `notes` start `problems`."""
         self.dataset = dataset
         self.methods = methods
         self.run = run
@@ -64,7 +74,7 @@ class Workspace:
         self._recordings: dict[Path, tuple[float, RecordingReader]] = {}
         self.jobs: dict[str, float] = {}
         """Work in progress: what it is and the finished share, 0..1."""
-        self.problems: tuple[str, ...] = ()
+        self.problems = notes
         """What of the data could not be used, one line each."""
         self.findings: tuple[Finding, ...] | InputError | None = None
         """What the doctor said; None as long as it was not asked."""
@@ -72,7 +82,7 @@ class Workspace:
         """Grows with every new assessment."""
         self._assessments: list[Assessment | None] = [None] * max(1, len(methods))
         self._generations = [0] * len(self._assessments)
-        self._images: OrderedDict[ImageKey, Image] = OrderedDict()
+        self._images: OrderedDict[ImageKey, LoadedImage] = OrderedDict()
         self._listeners: set[Callable[[], None]] = set()
         self._lock = threading.RLock()
         self._stopped = threading.Event()
@@ -134,13 +144,16 @@ class Workspace:
         """Return the rows of a method; None as long as they are not ready."""
         return self._assessments[method] if method < len(self._assessments) else None
 
-    def image(self, key: ImageKey) -> Image:
-        """Return an image of the dataset, kept for the next browser that asks; InputError if it cannot be read."""
+    def image(self, key: ImageKey) -> "LoadedImage":
+        """Return an image of the dataset, kept for the next browser that asks.
+
+        What cannot be read of it is None there, with the reason in `problems`; InputError if not even its camera can.
+        """
         with self._lock:
             if key in self._images:
                 self._images.move_to_end(key)
                 return self._images[key]
-        image = self.dataset.image(key)
+        image = _load(self.dataset, key)
         with self._lock:
             self._images[key] = image
             while len(self._images) > IMAGES_KEPT:
@@ -307,3 +320,22 @@ def find_row(assessment: Assessment, row: RowKey) -> int | None:
         found &= assessment.estimate == row.estimate
     places = found.nonzero()[0]
     return int(places[0]) if len(places) else None
+
+
+def _load(dataset: Dataset, key: ImageKey) -> LoadedImage:
+    camera = dataset.camera(key)
+    problems: list[str] = []
+    rgb, depth = None, None
+    try:
+        rgb = dataset.rgb(key)
+    except InputError as error:
+        problems.append(str(error))
+    try:
+        depth = dataset.depth(key)
+    except InputError as error:
+        problems.append(str(error))
+    if depth is not None and depth.shape != (camera.height, camera.width):
+        found, wanted = "x".join(map(str, depth.shape[::-1])), f"{camera.width}x{camera.height}"
+        problems.append(f"{dataset.depth_path(key)}: has {found} pixels, the image {wanted}; register it to the image")
+        depth = None
+    return LoadedImage(Image(key, camera, rgb, depth), tuple(problems))

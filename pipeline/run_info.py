@@ -20,6 +20,7 @@ _PACKAGES = ("pose-inspector", "numpy", "rerun-sdk")
 
 
 @runtime_checkable
+@runtime_checkable
 class DatasetName(Protocol):
     """What a run keeps of a dataset; `pipeline.bop.dataset.Dataset` has it."""
 

@@ -32,6 +32,8 @@ class RecordConfig:
 
 def run(config: RecordConfig, console: Console | None = None) -> int:
     """Record all targets and return the exit code: 1 if an image failed. InputError is left to the caller."""
+    from inspector.opening import notes_on
+    from inspector.workspace import Method
     from pipeline.bop.assessment import targets_of
     from pipeline.bop.dataset import open_dataset
     from pipeline.bop.results import read_results
@@ -41,6 +43,8 @@ def run(config: RecordConfig, console: Console | None = None) -> int:
 
     console = console or Console()
     dataset, results = open_dataset(config.dataset, config.split), read_results(config.results)
+    for note in notes_on(dataset, [Method(results.method, results, config.results)]):
+        console.print(f"[yellow]note:[/yellow] {escape(note)}", soft_wrap=True)
     targets = targets_of(dataset, results)
     if not targets:
         raise InputError(

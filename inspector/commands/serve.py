@@ -1,5 +1,6 @@
 """`inspector serve`: open a dataset and methods' results in the browser."""
 
+import signal
 import time
 import webbrowser
 from dataclasses import dataclass
@@ -43,6 +44,7 @@ def run(config: ServeConfig, console: Console | None = None) -> int:
     if dataset is None:
         dataset, results = _demo(results)
     app = App(open_workspace(dataset, results, config.split), config.host, config.port)
+    signal.signal(signal.SIGTERM, lambda *_: signal.raise_signal(signal.SIGINT))
     try:
         seconds = time.perf_counter() - begun
         console.print(f"[bold]inspector[/bold] {escape(app.server.url)}  (ready after {seconds:.1f} s; Ctrl+C ends it)")

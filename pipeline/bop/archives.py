@@ -14,7 +14,6 @@ import zipfile
 import zlib
 from collections.abc import Callable, Sequence
 from pathlib import Path, PurePosixPath
-from typing import IO
 
 from pipeline.exceptions import FormatError, InputError
 
@@ -114,11 +113,11 @@ class _Joined(io.RawIOBase):
         super().close()
 
 
-def _buffered(joined: _Joined) -> IO[bytes]:
+def _buffered(joined: _Joined) -> io.BufferedReader:
     return io.BufferedReader(joined, _CHUNK)
 
 
-def _find_directory(whole: IO[bytes], starts: list[int]) -> tuple[int, int, int]:
+def _find_directory(whole: io.BufferedReader, starts: list[int]) -> tuple[int, int, int]:
     """Begin in the joined file, size in bytes and number of entries of the central directory."""
     tail_begin = max(0, starts[-1] - _END.size - _LOCATOR64.size - 0xFFFF)
     whole.seek(tail_begin)

@@ -28,26 +28,22 @@ class MadeMethod:
 
     name: str
     seed: int
-    shares: Mapping[str, float]
+    shares: Mapping[str, int]
     """Relative frequency of each kind; kinds that do not suit an object are left out."""
     noise: float = 1.0
     """Scale of the small noise on good estimates."""
-
-
-def _shares(**shares: float) -> Mapping[str, float]:
-    return shares
 
 
 METHODS = (
     MadeMethod(
         "perturbed-1",
         11,
-        _shares(close=46, symmetric=12, flipped=9, depth=9, rough=8, twin=18, missing=5, duplicate=4, gross=5),
+        dict(close=46, symmetric=12, flipped=9, depth=9, rough=8, twin=18, missing=5, duplicate=4, gross=5),
     ),
     MadeMethod(
         "perturbed-2",
         23,
-        _shares(close=52, symmetric=10, flipped=5, depth=4, rough=10, twin=10, missing=11, duplicate=2, gross=7),
+        dict(close=52, symmetric=10, flipped=5, depth=4, rough=10, twin=10, missing=11, duplicate=2, gross=7),
         noise=0.6,
     ),
 )

@@ -3,12 +3,12 @@
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Num
 
 Texture = Callable[[Float[np.ndarray, "n 3"]], Float[np.ndarray, "n 3"]]
 
 
-def linear_from_srgb(color: Float[np.ndarray, "*n 3"] | tuple[int, int, int]) -> Float[np.ndarray, "*n 3"]:
+def linear_from_srgb(color: Num[np.ndarray, "*n 3"] | tuple[int, int, int]) -> Float[np.ndarray, "*n 3"]:
     """Linear RGB in 0..1 of 8-bit colours (gamma 2.2)."""
     return (np.asarray(color, np.float32) / 255.0) ** np.float32(2.2)
 

@@ -85,7 +85,7 @@ def intrinsics_fault(K: Float[np.ndarray, "3 3"], width: int, height: int) -> Fa
 
 
 def _agree(a: float, b: float) -> bool:
-    return a > 0 and b > 0 and 0.8 < a / b < 1.25
+    return bool(a > 0 and b > 0 and 0.8 < a / b < 1.25)
 
 
 def _field_of_view_fault(fx: float, fy: float, width: int, shown: str) -> Fault | None:
