@@ -27,6 +27,8 @@ class Picture:
     """RGB, or RGBA with straight alpha; of any resolution."""
     camera: Camera
     z: float
+    edges: tuple[float, float, float, float] | None = None
+    """Left, top, right and bottom edge in image pixels, where it covers a part of the image only."""
 
 
 @dataclass(frozen=True)
@@ -128,7 +130,7 @@ def _looks(node: Node) -> tuple:
     """What of a node besides its token decides how it is shown."""
     match node:
         case Picture():
-            return (node.z, node.camera.width, node.camera.height, node.camera.K.tobytes())
+            return (node.z, node.edges, node.camera.width, node.camera.height, node.camera.K.tobytes())
         case Mesh():
             return (node.color, node.opacity, node.wireframe)
         case Cloud():
@@ -141,12 +143,12 @@ def _looks(node: Node) -> tuple:
 
 def _place(handle: Any, node: Node) -> None:
     assert isinstance(node, Picture)
-    handle.render_width, handle.render_height, handle.position = plane_of(node.camera, node.z)
+    handle.render_width, handle.render_height, handle.position = plane_of(node.camera, node.z, node.edges)
 
 
 def _add_picture(scene: viser.SceneApi, name: str, node: Picture) -> viser.ImageHandle:
     pixels = node.pixels()
-    width, height, position = plane_of(node.camera, node.z)
+    width, height, position = plane_of(node.camera, node.z, node.edges)
     transparent = pixels.shape[2] == 4
     return scene.add_image(
         name,

@@ -5,7 +5,7 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from inspector import layers
 from inspector.canvas import Cloud, Lines, Mesh, Node, Picture, Viewpoint
@@ -73,11 +73,21 @@ class _Draughtsman:
         return Drawing(self.nodes, tuple(self.scales), tuple(dict.fromkeys(self.warnings)))
 
     def _picture(
-        self, name: str, token: Hashable, pixels: Callable[[], UInt8[np.ndarray, "h w c"]], level: int
+        self,
+        name: str,
+        token: Hashable,
+        pixels: Callable[[], UInt8[np.ndarray, "h w c"]],
+        level: int,
+        edges: tuple[float, float, float, float] | None = None,
     ) -> None:
-        """Add a layer: behind everything in 2D, on the image plane of the small frustum in 3D."""
-        z = max(BEHIND, 2 * self.farthest) if self.image_view else FRUSTUM * self.nearest
-        self.nodes[name] = Picture((*self._about, name, token), pixels, self.frame.camera, z * (1 - 2e-5 * level))
+        """Add a layer: behind everything in 2D, on the image plane of the small frustum in 3D; higher levels before lower.
+
+        The browser draws transparent planes in the order of their centres' distance. Whole images have the same centre,
+        so a little nearer is enough; parts lie off the axis and have to be nearer by a factor that no angle makes up for.
+        """
+        nearer = 1 - 2e-5 * level if edges is None else 0.5**level
+        z = (max(BEHIND, 2 * self.farthest) if self.image_view else FRUSTUM * self.nearest) * nearer
+        self.nodes[name] = Picture((*self._about, name, token), pixels, self.frame.camera, z, edges)
 
     @property
     def _about(self) -> tuple:
@@ -146,7 +156,10 @@ class _Draughtsman:
             self._picture("estimate", (*token, display.wipe_position), self._wiped, 40)
             roles = [role for role in roles if role not in ("ground_truth", "estimate")]
         for role in roles:
-            self._picture(role, token, partial(self._silhouette, role), 40 + 10 * LEVELS[role])
+            shown = self.frame.silhouette(role)
+            if shown is not None and shown.box.area:
+                edges = self.frame.edges(shown.box)
+                self._picture(role, token, partial(self._silhouette, role, shown.mask_crop), 1 + LEVELS[role], edges)
 
     def _others(self) -> None:
         if self.image_view and self.frame.others:
@@ -164,20 +177,23 @@ class _Draughtsman:
         token = (model.obj_id, pose.tobytes())
         self.nodes[f"models/{name}"] = Mesh(token, vertices, model.faces, color, opacity, wireframe)
 
-    def _silhouette(self, role: Role) -> Rgba:
-        mask = self.frame.silhouette(role)
-        assert mask is not None
+    def _silhouette(self, role: Role, mask: Bool[np.ndarray, "h w"]) -> Rgba:
         fill = 0.45 * self.display.opacity if self.display.style == "fill" else 0.0
         thickness = 4 - LEVELS[role] if self.frame.fineness > 1 else 1  # fine pixels, towards the inside
         return layers.silhouette(mask, COLORS[role], fill=fill, opacity=self.display.opacity, thickness=thickness)
 
     def _wiped(self) -> Rgba:
-        return layers.wiped(self._silhouette("estimate"), self._silhouette("ground_truth"), self.display.wipe_position)
+        found, truth = self.frame.silhouette("estimate"), self.frame.silhouette("ground_truth")
+        assert found is not None
+        assert truth is not None
+        left, right = self._silhouette("estimate", found.mask), self._silhouette("ground_truth", truth.mask)
+        return layers.wiped(left, right, self.display.wipe_position)
 
     def _other_contours(self) -> Rgba:
         layer = layers.blank(self.frame.fine_camera.height, self.frame.fine_camera.width)
-        for mask in self.frame.other_silhouettes:
-            layers.paint(layer, layers.contour_of(mask, self.frame.fineness), layers.OTHERS, 0.8)
+        for shown in self.frame.other_silhouettes:
+            contour = layers.contour_of(shown.mask_crop, self.frame.fineness)
+            layers.paint(layer[shown.box.slices], contour, layers.OTHERS, 0.8)
         return layer
 
     def _witness(self) -> None:

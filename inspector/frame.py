@@ -15,7 +15,7 @@ from pipeline.bop.errors import Mspd, Mssd, Pose, mspd, mssd
 from pipeline.bop.vsd import TAUS, Vsd, vsd
 from pipeline.exceptions import InputError
 from pipeline.geometry import distance_from_depth, inverse
-from pipeline.rendering import Rendering, render, render_depths
+from pipeline.rendering import Box, Rendering, render, render_depths
 from pipeline.scene import Camera, GroundTruth, Image, ImageKey, Model, PoseEstimate
 
 Role = Literal["ground_truth", "estimate", "compared"]
@@ -128,9 +128,9 @@ class Frame:
         return supersampled(self.camera, self.fineness)
 
     @cached_property
-    def _silhouettes(self) -> dict[Role, Bool[np.ndarray, "h w"]]:
+    def _silhouettes(self) -> dict[Role, Rendering]:
         poses: dict[Role, Pose] = {role: pose for role in ROLES if (pose := self.pose(role)) is not None}
-        return {role: render(self.model, self.fine_camera, pose, pixel_center=0.0).mask for role, pose in poses.items()}
+        return {role: render(self.model, self.fine_camera, pose, pixel_center=0.0) for role, pose in poses.items()}
 
     @cached_property
     def _witnesses(self) -> dict[Role, tuple[Mssd, Mspd]]:
@@ -146,14 +146,19 @@ class Frame:
         """MSSD (metres) and MSPD (pixels of this image) of an estimate with the vertices that decide them."""
         return self._witnesses.get(role)
 
-    def silhouette(self, role: Role) -> Bool[np.ndarray, "h w"] | None:
-        """Mask of the model in the pose, in pixels of `fine_camera`."""
+    def silhouette(self, role: Role) -> Rendering | None:
+        """The model in the pose in pixels of `fine_camera`, cut to the box around it; None without a pose."""
         return self._silhouettes.get(role)
 
     @cached_property
-    def other_silhouettes(self) -> tuple[Bool[np.ndarray, "h w"], ...]:
-        """Masks of `others`, in pixels of `fine_camera`."""
-        return tuple(render(o.model, self.fine_camera, o.camera_from_model, pixel_center=0.0).mask for o in self.others)
+    def other_silhouettes(self) -> tuple[Rendering, ...]:
+        """The models of `others` in pixels of `fine_camera`."""
+        return tuple(render(o.model, self.fine_camera, o.camera_from_model, pixel_center=0.0) for o in self.others)
+
+    def edges(self, box: Box) -> tuple[float, float, float, float]:
+        """Outer edges (left, top, right, bottom) of a box of `fine_camera`'s pixels, in pixels of the image."""
+        left, top, right, bottom = ((x - 0.5 - (self.fineness - 1) / 2) / self.fineness for x in box)
+        return left, top, right, bottom
 
     def rendered(self, role: Role) -> Rendering | None:
         """The model in the pose at the image's own pixels (centres at integers)."""

@@ -142,12 +142,13 @@ class Session:
 
     def _follow(self) -> None:
         frame = self.frame
-        masks = [] if frame is None else [m for role in ROLES if (m := frame.silhouette(role)) is not None and m.any()]
-        if frame is None or not masks:
+        shown = [] if frame is None else [r for role in ROLES if (r := frame.silhouette(role)) is not None]
+        boxes = [frame.edges(r.box) for r in shown if r.mask_crop.any()] if frame is not None else []
+        if frame is None or not boxes:
             return
-        v, u = np.nonzero(np.logical_or.reduce(masks))
-        box = np.array([u.min(), v.min(), u.max(), v.max()]) / frame.fineness
-        zoom, (center_u, center_v) = self.navigation.around(frame.camera, tuple(box))
+        corners = np.array(boxes)
+        left, top, right, bottom = *corners[:, :2].min(axis=0), *corners[:, 2:].max(axis=0)
+        zoom, (center_u, center_v) = self.navigation.around(frame.camera, (left, top, right, bottom))
         self.change(zoom=zoom, center_u=center_u, center_v=center_v)
 
     def help(self) -> None:

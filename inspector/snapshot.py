@@ -24,7 +24,12 @@ def snapshot(client: viser.ClientHandle, frame: Frame, selection: Selection) -> 
     size = (frame.fine_camera.width, frame.fine_camera.height)
     canvas = np.zeros((size[1], size[0], 3), np.float32)
     for picture in sorted(pictures, key=lambda p: -p.z):
-        pixels = cv2.resize(picture.pixels(), size, interpolation=cv2.INTER_NEAREST)
+        pixels = picture.pixels()
+        part = canvas
+        if picture.edges is not None:
+            x, y = (round((edge + 0.5) * frame.fineness) for edge in picture.edges[:2])
+            part = canvas[y : y + pixels.shape[0], x : x + pixels.shape[1]]
+        pixels = cv2.resize(pixels, part.shape[1::-1], interpolation=cv2.INTER_NEAREST)
         alpha = pixels[..., 3:].astype(np.float32) / 255 if pixels.shape[2] == 4 else np.float32(1)
-        canvas = canvas * (1 - alpha) + pixels[..., :3] * alpha
+        part[:] = part * (1 - alpha) + pixels[..., :3] * alpha
     return canvas.round().astype(np.uint8)

@@ -96,8 +96,14 @@ def image_center(camera: Camera) -> tuple[float, float]:
     return (camera.width - 1) / 2, (camera.height - 1) / 2
 
 
-def plane_of(camera: Camera, z: float) -> tuple[float, float, tuple[float, float, float]]:
-    """Width, height and centre (camera frame, metres) of the plane at depth `z` that the image fills exactly."""
+def plane_of(
+    camera: Camera, z: float, edges: tuple[float, float, float, float] | None = None
+) -> tuple[float, float, tuple[float, float, float]]:
+    """Width, height and centre (camera frame, metres) of the plane at depth `z` that the image fills exactly.
+
+    With `edges` (left, top, right, bottom, in pixels) that of a part of the image.
+    """
     fx, fy, cx, cy = camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]
-    u, v = image_center(camera)
-    return camera.width * z / fx, camera.height * z / fy, ((u - cx) * z / fx, (v - cy) * z / fy, z)
+    left, top, right, bottom = edges or (-0.5, -0.5, camera.width - 0.5, camera.height - 0.5)
+    u, v = (left + right) / 2, (top + bottom) / 2
+    return (right - left) * z / fx, (bottom - top) * z / fy, ((u - cx) * z / fx, (v - cy) * z / fy, z)
