@@ -87,7 +87,8 @@ class _Draughtsman:
         """
         nearer = 1 - 2e-5 * level if edges is None else 0.5**level
         z = (max(BEHIND, 2 * self.farthest) if self.image_view else FRUSTUM * self.nearest) * nearer
-        self.nodes[name] = Picture((*self._about, name, token), pixels, self.frame.camera, z, edges)
+        about = self.frame.key if name == "image" else self._about  # the image is the same for all its rows
+        self.nodes[name] = Picture((*about, name, token), pixels, self.frame.camera, z, edges)
 
     @property
     def _about(self) -> tuple:

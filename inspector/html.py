@@ -57,9 +57,7 @@ def figure(title: str, caption: str, image: UInt8[np.ndarray, "h w c"]) -> str:
 def png(image: UInt8[np.ndarray, "h w c"]) -> bytes:
     """Encode an RGB or RGBA image as PNG."""
     order = cv2.COLOR_RGBA2BGRA if image.shape[2] == 4 else cv2.COLOR_RGB2BGR
-    done, encoded = cv2.imencode(
-        ".png", cv2.cvtColor(np.ascontiguousarray(image), order), [cv2.IMWRITE_PNG_COMPRESSION, 1]
-    )
+    done, encoded = cv2.imencode(".png", cv2.cvtColor(np.ascontiguousarray(image), order))
     assert done
     return encoded.tobytes()
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from inspector.recording_server import RecordingServer
 from inspector.selection import RowKey, Selection
-from pipeline.bop.assessment import Assessment, assess, with_visibility, with_vsd
+from pipeline.bop.assessment import Assessment, assess, with_adi, with_visibility, with_vsd
 from pipeline.bop.dataset import Dataset
 from pipeline.bop.results import Results, read_results
 from pipeline.exceptions import InputError
@@ -280,7 +280,9 @@ class Workspace:
     def _assess(self, index: int) -> None:
         method = self.methods[index] if self.methods else None
         with self.job(f"comparing {method.name if method else 'ground truth'}") as progress:
-            assessment = assess(self.dataset, method.results if method else None, progress)
+            assessment = assess(
+                self.dataset, method.results if method else None, progress, partial(self._publish, index)
+            )
             self._report(assessment.problems)
             self._generations[index] += 1
             self._publish(index, assessment)
@@ -290,6 +292,10 @@ class Workspace:
         assessment = self._assessments[index]
         if assessment is None:
             return
+        if self.methods:
+            with self.job("ADI") as progress:
+                assessment = with_adi(self.dataset, self.methods[index].results, assessment, progress)
+                self._publish(index, assessment)
         with self.job("visible fractions") as progress:
             assessment = with_visibility(self.dataset, assessment, progress)
             self._publish(index, assessment)
@@ -303,6 +309,7 @@ class Workspace:
     def _publish(self, index: int, assessment: Assessment) -> None:
         self._assessments[index] = assessment
         self.version += 1
+        self.changed()
 
     def _report(self, problems: tuple[str, ...]) -> None:
         self.problems = tuple(dict.fromkeys((*self.problems, *problems)))

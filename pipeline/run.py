@@ -77,7 +77,7 @@ class Run:
         elif root.is_dir() and any(not item.name.startswith(".") for item in root.iterdir()):
             raise InputError(f"{root}: holds other files and no {RUN_FILE}; give an empty or new folder")
         else:
-            (root / RECORDINGS_FOLDER).mkdir(parents=True, exist_ok=True)
+            _make_folder(root / RECORDINGS_FOLDER)
             write_info(root, info, {})
         run = cls(root, info, writable=True)
         run._repair()
@@ -227,6 +227,13 @@ class Run:
             text = f"has {found} bytes, {IMAGES_FILE} says {length}; restore it or start a new run"
             raise FormatError(f"{self.results_path}: {text}")
         os.truncate(self.results_path, length)
+
+
+def _make_folder(path: Path) -> None:
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be made ({error.strerror}); give a folder that you may write to") from error
 
 
 def _write_at(path: Path, start: int, content: bytes) -> int:

@@ -1,6 +1,7 @@
 """`inspector serve`: open a dataset and methods' results in the browser."""
 
 import signal
+import threading
 import time
 import webbrowser
 from dataclasses import dataclass
@@ -52,12 +53,18 @@ def run(config: ServeConfig, console: Console | None = None) -> int:
             console.print(f"from other machines: {escape(app.server.network_url)}")
         if config.browser:
             webbrowser.open(app.server.url)
+        threading.Thread(target=_load_ray_caster, name="warm-up", daemon=True).start()
         app.wait()
     except KeyboardInterrupt:
         console.print("ended")
     finally:
         app.stop()
     return 0
+
+
+def _load_ray_caster() -> None:
+    """Import what the first picture needs, now that the address is out and while the browser loads the page."""
+    import open3d  # noqa: F401
 
 
 def _demo(results: tuple[Path, ...]) -> tuple[Path, tuple[Path, ...]]:

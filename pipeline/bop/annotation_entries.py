@@ -40,7 +40,7 @@ def camera_columns(images: dict[int, dict]) -> Columns:
     cameras = images.values()
     K = _finite([camera["cam_K"] for camera in cameras], 9)
     scales = _finite([[camera.get("depth_scale", 1.0)] for camera in cameras], 1)[:, 0]
-    if not (K[:, [0, 4]] != 0).all() or not (scales > 0).all():
+    if not (K[:, [0, 4]] != 0).all() or not np.linalg.det(K.reshape(-1, 3, 3)).all() or not (scales > 0).all():
         raise ValueError
     R = np.array([camera.get("cam_R_w2c", _NO_R) for camera in cameras], dtype=float).reshape(-1, 9)
     t = np.array([camera.get("cam_t_w2c", _NO_T) for camera in cameras], dtype=float).reshape(-1, 3)
@@ -60,6 +60,8 @@ def camera_problem(camera: dict) -> str | None:
                 return f": {text}"
     if not all(camera["cam_K"][i] for i in (0, 4)):
         return f": cam_K has a focal length of 0 ({short(camera['cam_K'])}); expected fx and fy in pixels"
+    if not np.linalg.det(np.reshape(camera["cam_K"], (3, 3))):
+        return f": cam_K cannot be inverted ({short(camera['cam_K'])}); expected fx 0 cx 0 fy cy 0 0 1"
     scale = camera.get("depth_scale", 1.0)
     if not _is_number(scale) or not scale > 0:
         return f": depth_scale is {short(scale)}; expected the millimetres of one unit of the depth image"

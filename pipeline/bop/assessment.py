@@ -5,7 +5,8 @@ for every instance: estimates are taken in the order of their score, and each ge
 its object that is nearest by MSSD, however far that is.
 """
 
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
@@ -43,7 +44,7 @@ class Assessment:
     mspd: Float[np.ndarray, "n"]
     """Pixels, scaled to an image width of 640 as in BOP."""
     add: Float[np.ndarray, "n"]
-    """Metres; ADI for objects with symmetries."""
+    """Metres; ADI for objects with symmetries, NaN for them until `with_adi`."""
     vsd: Float[np.ndarray, "n"]
     """NaN without depth, and until `with_vsd`."""
     visible_fraction: Float[np.ndarray, "n"]
@@ -73,16 +74,24 @@ class _Row(NamedTuple):
     visible_fraction: float = np.nan
 
 
-def assess(dataset: Dataset, results: Results | None, progress: Progress = lambda _: None) -> Assessment:
-    """Pair the estimates of a results file with the annotated instances and compute MSSD, MSPD and ADD or ADI.
+def assess(
+    dataset: Dataset,
+    results: Results | None,
+    progress: Progress = lambda _: None,
+    so_far: Callable[[Assessment], None] = lambda _: None,
+) -> Assessment:
+    """Pair the estimates of a results file with the annotated instances and compute MSSD, MSPD and ADD.
 
     With `results` None the rows are the annotated instances alone. Of the estimates of a target only the
     `inst_count` of highest score count, as in BOP. Images without ground truth give one row per estimate.
-    Scenes and models that cannot be read are named in `problems`; the others are assessed.
+    Scenes and models that cannot be read are named in `problems`; the others are assessed. `so_far` is given the rows
+    that are ready after a second, and again whenever the time has doubled.
     """
     targets = targets_of(dataset, results)
+    method = "ground truth" if results is None else results.method or "results"
     rows: list[_Row] = []
     problems: dict[str, None] = {}
+    begun, patience = time.monotonic(), 1.0
     for done, target in enumerate(targets):
         try:
             rows += _assess_target(dataset, results, target)
@@ -90,8 +99,24 @@ def assess(dataset: Dataset, results: Results | None, progress: Progress = lambd
             problems[str(error)] = None
         if done % 64 == 0:
             progress(done / len(targets))
-    method = "ground truth" if results is None else results.method or "results"
-    return Assessment(method=method, problems=tuple(problems), visibility_estimated=False, **_columns(rows))
+            if time.monotonic() - begun > patience:
+                so_far(_assessment(method, rows, problems))
+                patience *= 2
+    return _assessment(method, rows, problems)
+
+
+def with_adi(
+    dataset: Dataset, results: Results, assessment: Assessment, progress: Progress = lambda _: None
+) -> Assessment:
+    """Fill in ADI for objects with symmetries, which takes about ten times as long as all other errors together."""
+    values = assessment.add.copy()
+    for key, rows in _by_image(assessment, np.isnan(values) & (assessment.estimate >= 0), progress):
+        truths = {gt.index: gt for gt in dataset.ground_truth(key)}
+        for row in rows[assessment.gt_index[rows] >= 0]:
+            model = dataset.model(int(assessment.obj_id[row]))
+            estimate = results.estimate(int(assessment.estimate[row])).camera_from_model
+            values[row] = errors.adi(model, estimate, truths[int(assessment.gt_index[row])].camera_from_model)
+    return replace(assessment, add=values)
 
 
 def with_vsd(
@@ -205,7 +230,7 @@ def _pair(dataset: Dataset, results: Results | None, target: Target) -> _Pairing
 def _assess_target(dataset: Dataset, results: Results | None, target: Target) -> list[_Row]:
     pairing = _pair(dataset, results, target)
     model, camera = dataset.model(target.obj_id), dataset.camera(target.image)
-    average = errors.adi if len(model.symmetries) > 1 else errors.add
+    symmetric = len(model.symmetries) > 1
     rows = []
     for gt, partner, mssd in zip(pairing.annotations, pairing.partners, pairing.mssd, strict=True):
         row = _row(target, gt, model)
@@ -215,7 +240,8 @@ def _assess_target(dataset: Dataset, results: Results | None, target: Target) ->
             estimate = results.estimate(partner)
             poses = estimate.camera_from_model, gt.camera_from_model
             mspd = errors.mspd(model, camera.K, *poses).value * 640 / camera.width
-            row = row._replace(estimate=partner, score=estimate.score, mspd=mspd, add=average(model, *poses))
+            add = np.nan if symmetric else errors.add(model, *poses)
+            row = row._replace(estimate=partner, score=estimate.score, mspd=mspd, add=add)
         rows.append(row)
     for extra in pairing.extra:
         assert results is not None
@@ -240,6 +266,10 @@ def _row(target: Target, gt: GroundTruth | None, model: Model) -> _Row:
         diameter=model.diameter,
         visible_fraction=np.nan if visible is None else visible,
     )
+
+
+def _assessment(method: str, rows: list[_Row], problems: Iterable[str]) -> Assessment:
+    return Assessment(method=method, problems=tuple(problems), visibility_estimated=False, **_columns(rows))
 
 
 def _columns(rows: list[_Row]) -> dict[str, np.ndarray]:

@@ -88,7 +88,7 @@ class Dataset:
         self._check_image(key)
         cameras = self._cameras(key.scene_id)
         row = cameras.row(key.im_id)
-        width, height = self._memo.get(("size", key), lambda: self._find_size(key))
+        width, height = self._size(key)
         world = cameras.world_from_camera[row]
         return Camera(cameras.K[row], width, height, world if np.isfinite(world).all() else None)
 
@@ -118,9 +118,19 @@ class Dataset:
         return None if path is None else read_rgb(path)
 
     def depth(self, key: ImageKey) -> Float[np.ndarray, "h w"] | None:
-        """Depth as float32 metres, 0 where not measured, None where there is no depth image."""
+        """Depth as float32 metres, 0 where not measured, None where there is no depth image.
+
+        Raises FormatError if it cannot be read, has 8 bits or another size than the colour image.
+        """
         path = self.depth_path(key)
-        return None if path is None else read_depth(path, self.depth_scale_mm(key))
+        if path is None:
+            return None
+        depth = read_depth(path, self.depth_scale_mm(key))
+        width, height = self._size(key)
+        if depth.shape != (height, width):
+            found, wanted = f"{depth.shape[1]} x {depth.shape[0]}", f"{width} x {height}"
+            raise FormatError(f"{path}: has {found} pixels, its image {wanted}; register it to the colour image")
+        return depth
 
     def depth_scale_mm(self, key: ImageKey) -> float:
         """Millimetres of one unit of the depth image (BOP `depth_scale`)."""
@@ -217,11 +227,23 @@ class Dataset:
         scene = self._layout(scene_id)
         return read_ground_truth(scene.json("scene_gt"), scene.json("scene_gt_info"))
 
+    def _size(self, key: ImageKey) -> tuple[int, int]:
+        return self._memo.get(("size", key), lambda: self._find_size(key))
+
     def _find_size(self, key: ImageKey) -> tuple[int, int]:
-        """Width and height of an image from its file, else from the dataset's `camera.json`, else from the facts."""
-        path = self.rgb_path(key) or self.depth_path(key)
-        if path is not None:
-            return image_size(path)
+        """Width and height of an image from its files, else from the dataset's `camera.json`, else from the facts."""
+        damage: InputError | None = None
+        for path in filter(None, (self.rgb_path(key), self.depth_path(key))):
+            try:
+                return image_size(path)
+            except InputError as error:
+                damage = damage or error
+        try:
+            return self._usual_size()
+        except InputError as error:
+            raise damage or error from error
+
+    def _usual_size(self) -> tuple[int, int]:
         camera_file = self.root / "camera.json"
         if camera_file.is_file():
             content = read_json_object(camera_file)

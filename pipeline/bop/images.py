@@ -10,6 +10,8 @@ from jaxtyping import Bool, Float, UInt8
 from pipeline.bop.json_files import read_bytes
 from pipeline.exceptions import FormatError
 
+_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+
 
 def read_rgb(path: Path) -> UInt8[np.ndarray, "h w 3"]:
     """A colour image as RGB; a gray one is repeated in the three channels, 16 bits become 8."""
@@ -22,6 +24,8 @@ def read_depth(path: Path, depth_scale_mm: float) -> Float[np.ndarray, "h w"]:
     raw = _decode(path, cv2.IMREAD_UNCHANGED)
     if raw.ndim != 2:
         raise FormatError(f"{path}: has {raw.shape[2]} channels; a depth image has one, of 16 bits")
+    if raw.dtype == np.uint8:
+        raise FormatError(f"{path}: has 8 bits, which is a picture of depth; export the depth as 16-bit PNG")
     depth = raw.astype(np.float32) * np.float32(depth_scale_mm / 1000.0)
     return np.nan_to_num(depth, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
 
@@ -43,15 +47,21 @@ def image_size(path: Path) -> tuple[int, int]:
 
 def _decode(path: Path, flags: int) -> np.ndarray:
     data = np.frombuffer(read_bytes(path), dtype=np.uint8)
-    image = cv2.imdecode(data, flags) if len(data) else None
+    image = cv2.imdecode(data, flags) if len(data) and not _is_cut_off(data) else None
     if image is None:
         state = "is no image or is cut off" if len(data) else "is empty"
         raise FormatError(f"{path}: {state} ({len(data)} bytes); get the file again")
     return image
 
 
+def _is_cut_off(data: UInt8[np.ndarray, "n"]) -> bool:
+    """Whether a PNG or JPEG lacks its end mark; OpenCV fills what is missing of a JPEG with gray and says nothing."""
+    head, tail = data[:8].tobytes(), data[-64:].tobytes()
+    return (head == _PNG_SIGNATURE and b"IEND" not in tail) or (head[:2] == b"\xff\xd8" and b"\xff\xd9" not in tail)
+
+
 def _png_size(head: bytes) -> tuple[int, int] | None:
-    if not head.startswith(b"\x89PNG\r\n\x1a\n") or len(head) < 24:
+    if not head.startswith(_PNG_SIGNATURE) or len(head) < 24:
         return None
     return struct.unpack(">II", head[16:24])
 

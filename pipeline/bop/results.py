@@ -15,6 +15,7 @@ from jaxtyping import Float, Int
 from pipeline.bop.json_files import read_bytes, write_atomically
 from pipeline.bop.results_csv import COLUMNS, HEADER, parse_rows
 from pipeline.bop.units import millimetres
+from pipeline.exceptions import MissingFileError
 from pipeline.geometry import transform
 from pipeline.scene import ImageKey, PoseEstimate
 
@@ -107,6 +108,9 @@ def read_results(path: Path) -> Results:
     the first bad row and says how many more there are.
     """
     path = Path(path)
+    if not path.is_file():
+        problem = "is no file" if path.exists() else "no such file"
+        raise MissingFileError(f"{path}: {problem}; give a results file (CSV)")
     values = parse_rows(path, read_bytes(path))
     name = _FILE_NAME.fullmatch(path.stem)
     return Results(
