@@ -35,7 +35,7 @@ log = logging.getLogger(__name__)
 
 WHOLE_IMAGE: dict[str, Any] = {"zoom": 1.0, "center_u": 0.5, "center_v": 0.5}
 LEFT_WIDTH, RIGHT_WIDTH = 460, 400
-"""CSS pixels of the docked panels when they open."""
+"""CSS pixels of the docked panels when they open on a wide screen."""
 
 
 class Session:
@@ -110,6 +110,12 @@ class Session:
             self._publish()
         else:
             self.refresh()
+
+    def hello(self, query: str, width: float) -> None:
+        """Begin: fit the panels to the width of the page (CSS pixels), and open its address."""
+        self._left.set_width(float(np.clip(0.29 * width, 425, LEFT_WIDTH)))
+        self._right.set_width(float(np.clip(0.26 * width, 330, RIGHT_WIDTH)))
+        self.open_address(query)
 
     def open_address(self, query: str) -> None:
         """Look at what an address names; what it leaves open is as at the start, but a row stays."""
@@ -280,7 +286,7 @@ class Session:
     def _build(self) -> None:
         gui = self.client.gui
         self._theme()
-        left, right = gui.add_panel(), gui.add_panel()
+        self._left, self._right = left, right = gui.add_panel(), gui.add_panel()
         with left.add_tab("Targets"):
             self._controls.build()
             gui.add_html(f'<div id="pi-targets" data-key="{self.channel.key}"></div>')
@@ -291,7 +297,7 @@ class Session:
         left.set_width(LEFT_WIDTH)
         right.dock_right()
         right.set_width(RIGHT_WIDTH)
-        gui.main_panel.float(x=-10, y=10, width=170)
+        gui.main_panel.float(x=-10, y=-10, width=170)
         gui.main_panel.minimize()
         for command in COMMANDS:
             handle = gui.add_command(command.label, hotkey=command.hotkey)

@@ -26,7 +26,7 @@ class Steering:
         """The calls by name, as the page knows them."""
         session = self._session
         return {
-            "hello": session.open_address,
+            "hello": session.hello,
             "open": session.open_address,
             "command": session.command,
             "rows": self.rows,

@@ -319,7 +319,7 @@
       key = root.dataset.key;
       state = { ...state, version: 0 };
       overlay.size = null;
-      call("hello", location.search.slice(1));
+      call("hello", location.search.slice(1), window.innerWidth);
       listen(key);
     }
     if (table.root !== root) table.mount(root);
