@@ -41,6 +41,8 @@ def blank(height: int, width: int) -> Rgba:
 
 def contour_of(mask: Bool[np.ndarray, "h w"], thickness: int = 1) -> Bool[np.ndarray, "h w"]:
     """Pixels of the mask that touch its outside (within `thickness` pixels); also where the image's border cuts it."""
+    if not mask.size:
+        return mask
     inner = cv2.erode(mask.astype(np.uint8), np.ones((3, 3), np.uint8), iterations=thickness, borderValue=0)
     return mask & (inner == 0)
 

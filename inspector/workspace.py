@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from inspector.recording_server import RecordingServer
 from inspector.selection import RowKey, Selection
-from pipeline.bop.assessment import Assessment, assess, with_adi, with_visibility, with_vsd
+from pipeline.bop.assessment import Assessment, assess, with_adi, with_known, with_visibility, with_vsd
 from pipeline.bop.dataset import Dataset
 from pipeline.bop.results import Results, read_results
 from pipeline.exceptions import InputError
@@ -280,9 +280,11 @@ class Workspace:
     def _assess(self, index: int) -> None:
         method = self.methods[index] if self.methods else None
         with self.job(f"comparing {method.name if method else 'ground truth'}") as progress:
-            assessment = assess(
-                self.dataset, method.results if method else None, progress, partial(self._publish, index)
-            )
+            earlier, results = self._assessments[index], method.results if method else None
+            if earlier is None:
+                assessment = assess(self.dataset, results, progress, partial(self._publish, index))
+            else:
+                assessment = with_known(assess(self.dataset, results, progress), earlier)
             self._report(assessment.problems)
             self._generations[index] += 1
             self._publish(index, assessment)

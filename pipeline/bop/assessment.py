@@ -102,7 +102,21 @@ def assess(
             if time.monotonic() - begun > patience:
                 so_far(_assessment(method, rows, problems))
                 patience *= 2
+    problems |= dict.fromkeys(map(str, dataset.problems()))
     return _assessment(method, rows, problems)
+
+
+def with_known(assessment: Assessment, earlier: Assessment) -> Assessment:
+    """Take over what an earlier assessment knows of the same pairs: of a run that has grown, all but the new images."""
+    before = {pair: row for row, pair in enumerate(_pairs(earlier))}
+    places = np.array([before.get(pair, -1) for pair in _pairs(assessment)], dtype=int)
+    known = places >= 0
+    columns = {}
+    for name in ("add", "vsd", "visible_fraction"):
+        values = getattr(assessment, name).copy()
+        values[known] = getattr(earlier, name)[places[known]]
+        columns[name] = values
+    return replace(assessment, visibility_estimated=earlier.visibility_estimated, **columns)
 
 
 def with_adi(
@@ -133,7 +147,7 @@ def with_vsd(
     """
     values = assessment.vsd.copy()
     problems = dict.fromkeys(assessment.problems)
-    for key, rows in _by_image(assessment, assessment.gt_index >= 0, progress):
+    for key, rows in _by_image(assessment, np.isnan(values) & (assessment.gt_index >= 0), progress):
         try:
             values[rows] = _vsd_of_rows(dataset, results, assessment, key, rows, tau, delta)
         except InputError as error:
@@ -162,8 +176,14 @@ def with_visibility(dataset: Dataset, assessment: Assessment, progress: Progress
 
 
 def targets_of(dataset: Dataset, results: Results | None) -> list[Target]:
-    """The dataset's targets, and what a results file claims for images of scenes that have no ground truth."""
-    targets = list(dataset.targets())
+    """The dataset's targets, and what a results file claims for images of scenes that have no ground truth.
+
+    Where the list of targets is damaged, the annotated instances are taken.
+    """
+    try:
+        targets = list(dataset.targets())
+    except InputError:  # told by `Dataset.problems`
+        targets = list(dataset.annotated_targets())
     if results is None:
         return targets
     claimed = np.unique(np.stack([results.scene_id, results.im_id, results.obj_id], axis=1), axis=0, return_counts=True)
@@ -276,6 +296,12 @@ def _columns(rows: list[_Row]) -> dict[str, np.ndarray]:
     kinds = {name: np.int64 if kind is int else np.float64 for name, kind in _Row.__annotations__.items()}
     values = zip(*rows, strict=True) if rows else ((),) * len(kinds)
     return {name: np.array(column, kind) for (name, kind), column in zip(kinds.items(), values, strict=True)}
+
+
+def _pairs(assessment: Assessment) -> list[tuple[int, ...]]:
+    a = assessment
+    columns = (a.scene_id, a.im_id, a.obj_id, a.gt_index, a.estimate)
+    return list(zip(*(column.tolist() for column in columns), strict=True))
 
 
 def _by_image(

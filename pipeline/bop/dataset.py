@@ -163,16 +163,29 @@ class Dataset:
         """What methods are asked for: the list that comes with the split, else visible ground truth, else nothing.
 
         Only images on disk count, and damaged scenes and images are left out (see `problems`).
+        Raises FormatError if the list is damaged; `annotated_targets` are there then.
         """
         return self._memo.get(("targets",), self._find_targets)
+
+    def annotated_targets(self) -> tuple[Target, ...]:
+        """The visible ground truth as targets, whatever lists the split has."""
+        return tuple(target for scene_id in self.scene_ids for target in self._visible_targets(scene_id))
 
     def problems(self) -> tuple[InputError, ...]:
         """What is wrong with the JSON files of this split, one error per damaged image or file; reads all of them."""
         found: list[str] = []
+        try:
+            self.targets()
+        except InputError as error:
+            found.append(str(error))
         for scene_id in self.scene_ids:
             truth = self.scene_ground_truth(scene_id)
             found += [*self._cameras(scene_id).damage.values(), *truth.damage.values(), *truth.warnings]
-        return tuple(FormatError(text) for text in found)
+            unknown = set(truth.obj_ids.tolist()) - set(self.models.obj_ids)
+            if unknown and self.models.obj_ids:
+                objects = ", ".join(map(str, sorted(unknown)[:20]))
+                found.append(f"{truth.path}: has instances of objects without a model ({objects}); add their models")
+        return (*self.models.problems, *map(FormatError, found))
 
     def _find_targets(self) -> tuple[Target, ...]:
         on_disk = {scene_id: frozenset(self.image_ids(scene_id)) for scene_id in self.scene_ids}
@@ -180,7 +193,7 @@ class Dataset:
             found = read_targets(path, on_disk, lambda key: self._visible_targets(key.scene_id, key))
             if found:
                 return found
-        return tuple(target for scene_id in self.scene_ids for target in self._visible_targets(scene_id))
+        return self.annotated_targets()
 
     def _visible_targets(self, scene_id: int, key: ImageKey | None = None) -> tuple[Target, ...]:
         """Targets from the ground truth of a scene, or of one of its images."""

@@ -1,5 +1,6 @@
 """The folders of object models in a dataset: which file of an object to take, and what `models_info.json` says of it."""
 
+import logging
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
@@ -8,8 +9,10 @@ from pipeline.bop import layout
 from pipeline.bop.facts import DatasetFacts
 from pipeline.bop.memo import Memo
 from pipeline.bop.models import read_model, read_models_info
-from pipeline.exceptions import UnknownIdError
+from pipeline.exceptions import FormatError, InputError, UnknownIdError
 from pipeline.scene import Model
+
+log = logging.getLogger(__name__)
 
 ModelKind = Literal["eval", "display"]
 """Models for evaluation (resampled, without colour) or for display (with colour, where there is one)."""
@@ -20,6 +23,12 @@ class ModelFolders:
 
     def __init__(self, root: Path, facts: DatasetFacts) -> None:
         self._root, self._facts, self._memo = root, facts, Memo()
+
+    @property
+    def problems(self) -> tuple[InputError, ...]:
+        """What is wrong with the `models_info.json` files; diameters are computed then, and symmetries unknown."""
+        folders = self._folders("eval")
+        return tuple(error for folder in folders if (error := self._infos(folder)[1]) is not None)
 
     @property
     def obj_ids(self) -> tuple[int, ...]:
@@ -44,7 +53,7 @@ class ModelFolders:
     def info(self, obj_id: int) -> dict[str, Any]:
         """Entry of an object in the first `models_info.json` that has it, millimetres; empty if none has."""
         for folder in self._folders("eval"):
-            entries = self._infos(folder)
+            entries, _ = self._infos(folder)
             if obj_id in entries:
                 return entries[obj_id]
         return {}
@@ -52,9 +61,8 @@ class ModelFolders:
     def _read(self, obj_id: int, kind: ModelKind) -> Model:
         return read_model(self.path(obj_id, kind), obj_id, self.info(obj_id), appearance=kind == "display")
 
-    def _infos(self, folder: Path) -> dict[int, dict[str, Any]]:
-        path = folder / "models_info.json"
-        return self._memo.get(("info", folder), lambda: read_models_info(path) if path.is_file() else {})
+    def _infos(self, folder: Path) -> tuple[dict[int, dict[str, Any]], InputError | None]:
+        return self._memo.get(("info", folder), lambda: _read_infos(folder / "models_info.json"))
 
     @cached_property
     def _files(self) -> dict[Path, dict[int, Path]]:
@@ -67,3 +75,13 @@ class ModelFolders:
             "display": (self._facts.display_models, "models", "models_reconst", "models_fine", "object_models"),
         }
         return layout.model_folders(self._root, wanted[kind])
+
+
+def _read_infos(path: Path) -> tuple[dict[int, dict[str, Any]], InputError | None]:
+    """Entries of a `models_info.json`, none if it is absent or damaged, and what is wrong with it."""
+    try:
+        return (read_models_info(path) if path.is_file() else {}), None
+    except InputError as error:
+        told = FormatError(f"{error}; until then objects count as without symmetries, and diameters are computed")
+        log.warning("%s", told)
+        return {}, told

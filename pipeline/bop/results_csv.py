@@ -92,8 +92,10 @@ def _row_values(fields: list[str], order: list[int]) -> list[float]:
         numbers, count = fields[position].split(), _LENGTHS[column]
         if len(numbers) != count:
             plural = "numbers separated by spaces" if count > 1 else "number"
-            shown = f"{fields[position].strip()[:40]!r}" if len(fields[position]) <= 40 else f"{len(numbers)} numbers"
-            raise FormatError(f"column {column}: has {shown}; expected {count} {plural}")
+            shown = (
+                f"is {fields[position].strip()[:60]!r}" if count == 1 < len(numbers) else f"has {len(numbers)} numbers"
+            )
+            raise FormatError(f"column {column}: {shown}; expected {count} {plural}")
         try:
             values += map(float, numbers)
         except ValueError as error:

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 from pipeline.bop.annotations import SceneGroundTruth
 from pipeline.bop.doctor.findings import Finding, count_of, ok, some
 from pipeline.bop.doctor.survey import SceneSurvey, Survey
+from pipeline.bop.results import Results, read_results
 from pipeline.exceptions import InputError
 
 NEAREST_MM, FARTHEST_MM = 10.0, 50_000.0
@@ -202,14 +203,13 @@ def check_results(survey: Survey) -> Iterator[Finding]:
 
 
 def _check_results_file(survey: Survey, path: Path) -> Iterator[Finding]:
-    from pipeline.bop.results import read_results
-
     try:
         results = read_results(path)
     except (InputError, OSError) as error:
         text = str(error).removeprefix(f"{path}: ")
         yield Finding("error", "Unreadable results", path.name, text, "mend the line, or write the file again")
         return
+    yield from _judge_images(survey, path.name, results)
     if not len(results):
         yield Finding("warning", "No estimates", path.name, "the file holds no estimate", "run the method again")
         return
@@ -217,7 +217,8 @@ def _check_results_file(survey: Survey, path: Path) -> Iterator[Finding]:
     poses[:, :3, :3], poses[:, :3, 3] = results.rotation, results.translation_mm / 1000.0
     ids = zip(results.scene_id.tolist(), results.im_id.tolist(), results.obj_id.tolist(), strict=True)
     names = [f"scene {scene_id} image {im_id} object {obj_id}" for scene_id, im_id, obj_id in ids]
-    yield from _judge_distances(poses, path.name, "t", "Estimates")
+    with np.errstate(over="ignore"):  # of numbers that cannot be meant, which this is about
+        yield from _judge_distances(poses, path.name, "t", "Estimates")
     yield from _judge_rotations(poses[:, :3, :3], path.name, names)
     unknown = sorted(set(results.obj_id.tolist()) - survey.model_ids)
     if unknown and survey.model_ids:
@@ -227,3 +228,19 @@ def _check_results_file(survey: Survey, path: Path) -> Iterator[Finding]:
         )
         fix = "get the missing models, or check that the results belong to this dataset"
         yield Finding("warning", "Estimates of objects without model", path.name, evidence, fix)
+
+
+def _judge_images(survey: Survey, name: str, results: Results) -> Iterator[Finding]:
+    """Whether the estimates are for images of this split, as far as its scenes are looked at."""
+    absent = ~np.isin(results.scene_id, survey.scene_ids)
+    for scene in survey.scenes:
+        known = [*scene.images.keys(), *scene.depths.keys(), *scene.cameras.rows]
+        absent |= (results.scene_id == scene.scene_id) & ~np.isin(results.im_id, known)
+    if absent.any():
+        first = int(np.argmax(absent))
+        evidence = (
+            f"{int(absent.sum())} of {count_of(len(results), 'estimate')}, first scene {results.scene_id[first]} "
+            f"image {results.im_id[first]}"
+        )
+        fix = f"check that the results belong to {survey.split} of this dataset; these are left out"
+        yield Finding("warning", "Estimates for images that are not there", name, evidence, fix)
