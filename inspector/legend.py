@@ -7,6 +7,7 @@ from inspector.drawing import COLORS, WITNESS_COLORS
 from inspector.frame import Frame, Role
 from inspector.layers import ColorScale
 from inspector.selection import Selection
+from pipeline.bop.assessment import NO_OBJECT
 
 LegendLine = dict[str, Any]
 """As the page draws it: `text`, and where wanted `color`, `class`, or `low`, `high` and `stops` of a colour bar."""
@@ -37,7 +38,7 @@ def warning(text: str) -> LegendLine:
 
 def _models(frame: Frame, selection: Selection, methods: tuple[str, ...]) -> list[LegendLine]:
     row, display = frame.row, selection.display
-    title = f"scene {row.scene_id} · image {row.im_id} · object {row.obj_id}"
+    title = f"scene {row.scene_id} · image {row.im_id}" + (f" · object {row.obj_id}" if row.obj_id != NO_OBJECT else "")
     lines: list[LegendLine] = [{"text": title, "class": "pi-title"}]
     if display.ground_truth and frame.ground_truth is not None:
         lines.append({"text": "ground truth", "color": _css(COLORS["ground_truth"])})

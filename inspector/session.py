@@ -60,6 +60,7 @@ class Session:
         self._canvas = Canvas(client, self.steering.look_at_image)
         self._worker = LatestWins(f"browser {client.client_id}", self._failed)
         self._table_made_from: object = None
+        self._chosen = False
         self._seen_from: object = None
         context = Context(client, workspace, lambda: self.selection, self.change, self.command)
         self._controls = TableControls(context)
@@ -85,6 +86,7 @@ class Session:
                 fields["display"] = replace(self.selection.display, **display)
             if filter:
                 fields["filter"] = replace(self.selection.filter, **filter)
+            self._chosen |= "row" in fields
             fields = self._of_another_row(fields.get("row")) | fields
             self.update(replace(self.selection, **fields))
 
@@ -113,13 +115,14 @@ class Session:
 
     def hello(self, query: str, width: float) -> None:
         """Begin: fit the panels to the width of the page (CSS pixels), and open its address."""
-        self._left.set_width(float(np.clip(0.29 * width, 425, LEFT_WIDTH)))
-        self._right.set_width(float(np.clip(0.26 * width, 330, RIGHT_WIDTH)))
+        self._left.set_width(float(np.clip(0.31 * width, 440, LEFT_WIDTH)))
+        self._right.set_width(float(np.clip(0.27 * width, 345, RIGHT_WIDTH)))
         self.open_address(query)
 
     def open_address(self, query: str) -> None:
         """Look at what an address names; what it leaves open is as at the start, but a row stays."""
         asked = self.workspace.within(from_query(query, self._first))
+        self._chosen |= asked.row is not None
         self.update(replace(asked, row=asked.row or self.selection.row))
         self.refresh()
 
@@ -212,11 +215,17 @@ class Session:
             self.frame = wanted
             if elsewhere and selection.follow:
                 self._follow()
-        lines = self._draw(self.frame, selection)
+        lines = self._draw(self.frame, selection) + self._problems()
         self._publish(legend=lines)
         unseen = self._update_views(self.frame, selection)
         self._publish(legend=lines + [warning(text) for text in unseen if warning(text) not in lines], busy=False)
         log.debug("shown in %.0f ms", (time.perf_counter() - begun) * 1000)
+
+    def _problems(self) -> list[dict[str, Any]]:
+        number = len(self.workspace.problems)
+        return (
+            [warning(f"{number} problem{'s' if number > 1 else ''} with the data: see the tab Data")] if number else []
+        )
 
     def _draw(self, frame: Frame | None, selection: Selection) -> list[dict[str, Any]]:
         """Draw the picture and return its legend."""
@@ -256,9 +265,9 @@ class Session:
         self._table_made_from = made_from
 
     def _begin_with_the_worst(self) -> None:
-        """Select the first row of the table where none is selected."""
+        """Look at the first row of the table as long as nobody has chosen one: it may yet fill and be sorted anew."""
         with self._lock:
-            if self.selection.row is None and self.table is not None and len(self.table):
+            if not self._chosen and self.table is not None and len(self.table):
                 self.selection = replace(self.selection, row=self.table.key(0))
 
     def _failed(self, error: Exception) -> None:
@@ -270,7 +279,7 @@ class Session:
         name = self.workspace.dataset.name
         self.channel.publish(
             address=to_query(selection, self._first),
-            title=name if row is None else f"{name} {row.scene_id}/{row.im_id} object {row.obj_id}",
+            title=name if row is None else f"{name} {row.scene_id}/{row.im_id}",
             view=selection.view,
             sort=selection.sort,
             descending=selection.descending,

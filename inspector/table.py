@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from inspector.selection import Criterion, Filter, RowKey, Selection
-from pipeline.bop.assessment import Assessment
+from pipeline.bop.assessment import NO_OBJECT, Assessment
 from pipeline.scene import ImageKey
 
 
@@ -87,15 +87,14 @@ class Table:
         comparison = COMPARISONS[self.comparison[row]]
         texts = [
             f"{a.scene_id[row]} / {a.im_id[row]}",
-            str(a.obj_id[row]),
+            "–" if a.obj_id[row] == NO_OBJECT else str(a.obj_id[row]),
             _text(a.visible_fraction[row] * 100, "~{:.0f}" if a.visibility_estimated else "{:.0f}"),
             _text(a.score[row], "{:.2f}"),
             _text(a.vsd[row], "{:.2f}"),
             _number(a.mssd[row] * 1000),
             _number(a.mspd[row]),
             _number(a.add[row] * 1000),
-            comparison
-            or ("no truth" if status == "unknown" and a.gt_index[row] < 0 else "" if status == "unknown" else status),
+            comparison or _result(a, row, status),
         ]
         instance = f"instance {a.gt_index[row]}" if a.gt_index[row] >= 0 else "no ground truth"
         title = f"scene {a.scene_id[row]}, image {a.im_id[row]}, object {a.obj_id[row]}, {instance}: {status}"
@@ -106,6 +105,8 @@ class Table:
         """One line on the rows shown."""
         counts = {name: int(np.count_nonzero(self.status[self.order] == i)) for i, name in enumerate(STATUSES)}
         instances = counts["correct"] + counts["wrong"] + counts["missing"]
+        if len(self) and (self.assessment.obj_id == NO_OBJECT).all():
+            return f"{len(self)} images, no ground truth and no results: open them with --results FILE"
         if not instances:
             return f"{len(self)} rows, no ground truth to compare with" if len(self) else "no rows"
         share = 100 * counts["correct"] / instances
@@ -213,6 +214,12 @@ def _sorted(rows: Int[np.ndarray, "m"], values: Float[np.ndarray, "n"], descendi
     known = np.isfinite(of_rows)
     by_value = np.argsort(-of_rows[known] if descending else of_rows[known], kind="stable")
     return np.concatenate([rows[known][by_value], rows[~known]])
+
+
+def _result(assessment: Assessment, row: int, status: str) -> str:
+    if status != "unknown":
+        return status
+    return "no truth" if assessment.gt_index[row] < 0 and assessment.obj_id[row] != NO_OBJECT else ""
 
 
 def _number(value: float) -> str:

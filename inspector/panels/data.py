@@ -7,6 +7,8 @@ from inspector.views import Context
 from inspector.workspace import Workspace
 from pipeline.exceptions import InputError
 
+PROBLEMS_SHOWN = 30
+
 
 class DataView:
     """What is open and what is wrong with it."""
@@ -45,7 +47,10 @@ class DataView:
             lines.append(("method", name, f"{len(method.results)} estimates", None))
         parts = [html.heading("Open"), html.numbers(lines)]
         if workspace.problems:
-            parts += [html.heading("Could not be used"), *map(html.paragraph, workspace.problems)]
+            shown, more = workspace.problems[:PROBLEMS_SHOWN], len(workspace.problems) - PROBLEMS_SHOWN
+            parts += [html.heading("Worth knowing"), *map(html.paragraph, shown)]
+            if more > 0:
+                parts.append(html.paragraph(f"and {more} more: ask the doctor for a summary", dim=True))
         self._text.content = html.block(*parts)
         self._findings.content = _findings(workspace)
 

@@ -7,6 +7,7 @@ from inspector.frame import Frame
 from inspector.selection import DEFAULT_THRESHOLDS, Selection
 from inspector.views import Context
 from pipeline.bop import errors
+from pipeline.bop.assessment import NO_OBJECT
 
 
 class TargetView:
@@ -35,22 +36,12 @@ class TargetView:
         self._text.content = html.block(*parts)
 
     def _about(self, frame: Frame) -> str:
-        workspace, row = self._context.workspace, frame.row
-        model, truth = frame.model, frame.ground_truth
-        lines: list[html.Line] = [
-            (
-                "scene / image",
-                f"{row.scene_id} / {row.im_id}",
-                f"{frame.camera.width} x {frame.camera.height} px",
-                None,
-            ),
-            (
-                "object",
-                str(row.obj_id),
-                f"diameter {model.diameter * 1000:.1f} mm, {_symmetry(len(model.symmetries))}",
-                None,
-            ),
-        ]
+        workspace, row, truth = self._context.workspace, frame.row, frame.ground_truth
+        size = f"{frame.camera.width} x {frame.camera.height} px"
+        lines: list[html.Line] = [("scene / image", f"{row.scene_id} / {row.im_id}", size, None)]
+        if row.obj_id != NO_OBJECT:
+            about = f"diameter {frame.model.diameter * 1000:.1f} mm, {_symmetry(len(frame.model.symmetries))}"
+            lines.append(("object", str(row.obj_id), about, None))
         if truth is None:
             lines.append(("ground truth", "none", "no annotated instance for this row", None))
         else:

@@ -24,6 +24,10 @@ Progress = Callable[[float], None]
 """Called with the finished share, 0..1."""
 
 
+NO_OBJECT = 0
+"""Object id of a row that stands for an image alone; BOP counts objects from 1."""
+
+
 @dataclass(frozen=True)
 class Assessment:
     """The rows of one method, in columns; an instance without an estimate has infinite errors, NaN is unknown."""
@@ -84,6 +88,7 @@ def assess(
 
     With `results` None the rows are the annotated instances alone. Of the estimates of a target only the
     `inst_count` of highest score count, as in BOP. Images without ground truth give one row per estimate.
+    Where there is neither, every image is a row of `NO_OBJECT`.
     Scenes and models that cannot be read are named in `problems`; the others are assessed. `so_far` is given the rows
     that are ready after a second, and again whenever the time has doubled.
     """
@@ -103,7 +108,7 @@ def assess(
                 so_far(_assessment(method, rows, problems))
                 patience *= 2
     problems |= dict.fromkeys(map(str, dataset.problems()))
-    return _assessment(method, rows, problems)
+    return _assessment(method, rows if targets else _images_alone(dataset), problems)
 
 
 def with_known(assessment: Assessment, earlier: Assessment) -> Assessment:
@@ -196,6 +201,11 @@ def targets_of(dataset: Dataset, results: Results | None) -> list[Target]:
         if ids not in covered and im_id in images.get(scene_id, ()):
             targets.append(Target(*ids, int(count)))
     return targets
+
+
+def _images_alone(dataset: Dataset) -> list[_Row]:
+    """A row per image, of no object, for data that have neither ground truth nor estimates but can be looked at."""
+    return [_Row(*key, NO_OBJECT, -1, -1, np.nan, np.nan) for key in dataset.images()]
 
 
 def _annotated(dataset: Dataset, scene_id: int) -> bool:
