@@ -24,7 +24,10 @@ class App:
         self._first = Selection(delta_mm=workspace.delta * 1000, compare=1 if len(workspace.methods) > 1 else None)
         routes = {"/inspector/call": self._channels.answer_call, "/inspector/state": self._channels.answer_state}
         self.server: InspectorServer = make_server(host, port, head_html=HEAD, static=static_files(), routes=routes)
-        workspace.allow_origins({f"http://{name}:{self.server.port}" for name in ("127.0.0.1", "localhost")})
+        if workspace.recordings is not None:
+            workspace.recordings.allow_origins(
+                {f"http://{name}:{self.server.port}" for name in ("127.0.0.1", "localhost")}
+            )
         server = self.server.viser
         server.scene.set_up_direction("-y")
         server.initial_camera.up = (0.0, -1.0, 0.0)

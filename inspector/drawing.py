@@ -130,7 +130,8 @@ class _Draughtsman:
         path = self.display.recorded
         if not path:
             return
-        reader = self.frame.workspace.recording(self.frame.key)
+        recordings = self.frame.workspace.recordings
+        reader = None if recordings is None else recordings.reader(self.frame.key)
         if reader is None or path not in reader.kinds():
             self.warnings.append(f"not recorded for this image: {path}")
             return

@@ -8,9 +8,10 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from inspector.image_cache import LoadedImage
 from inspector.layers import supersampled
 from inspector.selection import RowKey, Selection
-from inspector.workspace import LoadedImage, Workspace
+from inspector.workspace import Workspace
 from pipeline.bop.errors import Mspd, Mssd, Pose, mspd, mssd
 from pipeline.bop.vsd import TAUS, Vsd, vsd
 from pipeline.exceptions import InputError
@@ -55,7 +56,7 @@ class Frame:
 
     @cached_property
     def _loaded(self) -> LoadedImage:
-        return self.workspace.image(self.key)
+        return self.workspace.images.get(self.key)
 
     @property
     def image(self) -> Image:

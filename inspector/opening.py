@@ -9,7 +9,7 @@ from inspector.workspace import Method, Workspace
 from pipeline.bop.dataset import Dataset, open_dataset
 from pipeline.bop.results import Results, read_results
 from pipeline.exceptions import InputError, MissingFileError
-from pipeline.run import RUN_FILE, Run
+from pipeline.run import RECORDINGS_FOLDER, RUN_FILE, Run
 
 
 def open_workspace(path: Path, results: tuple[Path, ...] = (), split: str | None = None) -> Workspace:
@@ -21,9 +21,13 @@ def open_workspace(path: Path, results: tuple[Path, ...] = (), split: str | None
     """
     if (path / RUN_FILE).exists():
         run = Run.open(path)
+        if not run.results_path.is_file():
+            raise MissingFileError(f"{run.results_path}: no such file; restore it, or make the run again")
         own = Method(run.info.method, read_results(run.results_path), run.results_path)
         dataset, methods = _dataset_of(run), (own, *map(_method, results))
         return Workspace(dataset, methods, run, notes_on(dataset, methods))
+    if (path / RECORDINGS_FOLDER).is_dir():
+        raise MissingFileError(f"{path / RUN_FILE}: no such file; restore it, or make the run again")
     dataset, methods = open_dataset(path, split), tuple(map(_method, results))
     return Workspace(dataset, methods, notes=notes_on(dataset, methods))
 

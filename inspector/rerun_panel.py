@@ -57,6 +57,7 @@ class RerunPanel:
             self._html.content = html.block(html.paragraph(str(error)))
 
     def _address(self) -> str:
-        if self._workspace.run is None or self._key is None:
+        recordings = self._workspace.recordings
+        if recordings is None or self._key is None:
             raise InputError("no run is open: make one with inspector record DATASET RESULTS --out RUN")
-        return self._workspace.rerun_url(self._key)
+        return recordings.rerun_url(self._key)

@@ -1,25 +1,23 @@
 """What all browsers share: the dataset, the methods' results held against it, and the work still going on."""
 
 import logging
-import secrets
 import threading
-from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
-from inspector.recording_server import RecordingServer
+from inspector.image_cache import ImageCache
+from inspector.recordings import Recordings
 from inspector.selection import RowKey, Selection
 from pipeline.bop.assessment import Assessment, assess, with_adi, with_known, with_visibility, with_vsd
 from pipeline.bop.dataset import Dataset
 from pipeline.bop.results import Results, read_results
 from pipeline.exceptions import InputError
-from pipeline.recording import RecordingReader
 from pipeline.run import Run
-from pipeline.scene import Image, ImageKey, PoseEstimate
+from pipeline.scene import PoseEstimate
 
 if TYPE_CHECKING:
     from pipeline.bop.doctor import Finding
@@ -32,12 +30,6 @@ TAU = 0.020
 RUN_POLL_SECONDS = 1.0
 """How often a run folder is looked at for new images."""
 
-RECORDINGS_KEPT = 8
-"""Opened recordings kept."""
-
-IMAGES_KEPT = 16
-"""Decoded images kept in memory, for all browsers together."""
-
 
 @dataclass(frozen=True)
 class Method:
@@ -46,14 +38,6 @@ class Method:
     name: str
     results: Results
     path: Path
-
-
-class LoadedImage(NamedTuple):
-    """An image as far as it could be read."""
-
-    image: Image
-    problems: tuple[str, ...]
-    """Why a channel is missing that should be there, one line each."""
 
 
 class Workspace:
@@ -69,9 +53,8 @@ class Workspace:
         self.dataset = dataset
         self.methods = methods
         self.run = run
-        self._recording_server: RecordingServer | None = None
-        self._origins: set[str] = set()
-        self._recordings: dict[Path, tuple[float, RecordingReader]] = {}
+        self.recordings = None if run is None else Recordings(run)
+        self.images = ImageCache(dataset)
         self.jobs: dict[str, float] = {}
         """Work in progress: what it is and the finished share, 0..1."""
         self.problems = notes
@@ -82,7 +65,6 @@ class Workspace:
         """Grows with every new assessment."""
         self._assessments: list[Assessment | None] = [None] * max(1, len(methods))
         self._generations = [0] * len(self._assessments)
-        self._images: OrderedDict[ImageKey, LoadedImage] = OrderedDict()
         self._listeners: set[Callable[[], None]] = set()
         self._lock = threading.RLock()
         self._stopped = threading.Event()
@@ -104,61 +86,15 @@ class Workspace:
         """Assess all methods in the background, and follow the run, if there is one, as it grows."""
         threading.Thread(target=self._work, name="assessment", daemon=True).start()
 
-    def recording(self, key: ImageKey) -> RecordingReader | None:
-        """What the run recorded of an image; None where there is no run or no recording, InputError if it is damaged."""
-        if self.run is None or not (path := self.run.recording_path(key)).is_file():
-            return None
-        written = path.stat().st_mtime
-        known = self._recordings.get(path)
-        if known is None or known[0] != written:
-            reader = RecordingReader.open(path)
-            with self._lock:
-                while len(self._recordings) >= RECORDINGS_KEPT:
-                    self._recordings.pop(next(iter(self._recordings)))
-                known = self._recordings[path] = (written, reader)
-        return known[1]
-
-    def rerun_url(self, key: ImageKey) -> str:
-        """Address of rerun's web viewer on the recording of an image, served to this machine only.
-
-        Raises MissingFileError if the image has no recording, InputError if no server can be started.
-        """
-        assert self.run is not None
-        with self._lock:
-            if self._recording_server is None:
-                self._recording_server = RecordingServer(self.run.root, secrets.token_urlsafe(24), self._origins)
-                self._recording_server.start()
-        return self._recording_server.viewer_url(key)
-
-    def allow_origins(self, origins: set[str]) -> None:
-        """Say under which addresses browsers have the inspector open; only those may show recordings."""
-        self._origins = origins
-
     def stop(self) -> None:
         """Stop following the run and serving its recordings."""
         self._stopped.set()
-        if self._recording_server is not None:
-            self._recording_server.stop()
+        if self.recordings is not None:
+            self.recordings.stop()
 
     def assessment(self, method: int) -> Assessment | None:
         """Return the rows of a method; None as long as they are not ready."""
         return self._assessments[method] if method < len(self._assessments) else None
-
-    def image(self, key: ImageKey) -> "LoadedImage":
-        """Return an image of the dataset, kept for the next browser that asks.
-
-        What cannot be read of it is None there, with the reason in `problems`; InputError if not even its camera can.
-        """
-        with self._lock:
-            if key in self._images:
-                self._images.move_to_end(key)
-                return self._images[key]
-        image = _load(self.dataset, key)
-        with self._lock:
-            self._images[key] = image
-            while len(self._images) > IMAGES_KEPT:
-                self._images.popitem(last=False)
-        return image
 
     def generation(self, method: int | None) -> int:
         """How often the estimates of a method were held against the ground truth anew; 0 as long as they were not."""
@@ -329,22 +265,3 @@ def find_row(assessment: Assessment, row: RowKey) -> int | None:
         found &= assessment.estimate == row.estimate
     places = found.nonzero()[0]
     return int(places[0]) if len(places) else None
-
-
-def _load(dataset: Dataset, key: ImageKey) -> LoadedImage:
-    camera = dataset.camera(key)
-    problems: list[str] = []
-    rgb, depth = None, None
-    try:
-        rgb = dataset.rgb(key)
-    except InputError as error:
-        problems.append(str(error))
-    try:
-        depth = dataset.depth(key)
-    except InputError as error:
-        problems.append(str(error))
-    if depth is not None and depth.shape != (camera.height, camera.width):
-        found, wanted = "x".join(map(str, depth.shape[::-1])), f"{camera.width}x{camera.height}"
-        problems.append(f"{dataset.depth_path(key)}: has {found} pixels, the image {wanted}; register it to the image")
-        depth = None
-    return LoadedImage(Image(key, camera, rgb, depth), tuple(problems))

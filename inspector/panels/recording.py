@@ -18,7 +18,7 @@ _OFF = "off"
 class RecordingView:
     """The entities of the recording of the image, and the way into rerun."""
 
-    title = "Recording"
+    title = "Run"
 
     def __init__(self, context: Context) -> None:
         self._context = context
@@ -40,29 +40,30 @@ class RecordingView:
 
     def update(self, frame: Frame | None, selection: Selection) -> None:
         """Show the recording of another image."""
+        recordings = self._context.workspace.recordings
         reader, note = self._reader(frame)
         self._note.content = html.block(html.paragraph(note, dim=True)) if note else ""
         self._button.visible = reader is not None
         self._layer.visible = reader is not None
-        if reader is None:
+        if reader is None or recordings is None:
             self._list.content = ""
             self._shown = None
             return
         if self._shown is not reader:
             self._shown = reader
-            self._fill(reader, self._context.workspace.rerun_url(reader.key))
+            self._fill(reader, recordings.rerun_url(reader.key))
         wanted = self._context.selection().display.recorded or _OFF
         if wanted in self._layer.options and self._layer.value != wanted:
             self._layer.value = wanted
 
     def _reader(self, frame: Frame | None) -> tuple[RecordingReader | None, str]:
-        workspace = self._context.workspace
-        if workspace.run is None:
+        recordings = self._context.workspace.recordings
+        if recordings is None:
             return None, "No run is open. `inspector record DATASET RESULTS --out RUN` makes one from a results file."
         if frame is None:
             return None, "Click a row of the table."
         try:
-            reader = workspace.recording(frame.key)
+            reader = recordings.reader(frame.key)
         except InputError as error:
             return None, str(error)
         if reader is None:
