@@ -56,7 +56,10 @@ def make_split(split: Path) -> None:
         translations = rng.normal([0, 0, 800], 100, (counts.sum(), 3)).tolist()
         rows = iter(zip(rotations, translations, strict=True))
         truths = {
-            im_id: [{"cam_R_m2c": R, "cam_t_m2c": t, "obj_id": 1 + i % 30} for i, (R, t) in zip(range(n), rows, strict=False)]
+            im_id: [
+                {"cam_R_m2c": R, "cam_t_m2c": t, "obj_id": 1 + i % 30}
+                for i, (R, t) in zip(range(n), rows, strict=False)
+            ]
             for im_id, n in enumerate(counts.tolist())
         }
         info = {"bbox_obj": [1, 2, 30, 40], "bbox_visib": [1, 2, 30, 40], "px_count_all": 900, "px_count_valid": 900}

@@ -169,7 +169,7 @@ def _to_text(value: object) -> str:
         return str(int(value))
     if isinstance(value, tuple):
         return ",".join(map(_to_text, value))
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 _CHOICES: dict[str, tuple[str, ...]] = {

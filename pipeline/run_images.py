@@ -3,7 +3,7 @@
 import json
 import threading
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pipeline.exceptions import FormatError
@@ -56,8 +56,11 @@ class ImageList:
 
     def _parse(self, line: bytes) -> FinishedImage:
         try:
-            return FinishedImage(**json.loads(line))
-        except (ValueError, TypeError) as error:
+            image = FinishedImage(**json.loads(line))
+            if not all(type(value) is int for value in (*image.key, image.estimates, image.results_bytes)):
+                raise TypeError
+            return replace(image, timings={stage: float(seconds) for stage, seconds in image.timings.items()})
+        except (ValueError, TypeError, AttributeError) as error:
             text = f"line {line[:60]!r} is no finished image; delete this line and the later ones"
             raise FormatError(f"{self.path}: {text}") from error
 

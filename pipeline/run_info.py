@@ -49,6 +49,13 @@ class RunInfo:
     versions: Mapping[str, str]
 
 
+_KINDS: dict[str, type] = {
+    field.name: {"config": dict, "versions": dict, "seed": int}.get(field.name, str)
+    for field in dataclasses.fields(RunInfo)
+}
+_EXPECTED = {str: "text", int: "a whole number", dict: "an object {...}"}
+
+
 def read_info(root: Path) -> RunInfo:
     """What `run.json` in a run folder says.
 
@@ -61,19 +68,24 @@ def read_info(root: Path) -> RunInfo:
     try:
         content = json.loads(path.read_bytes())
     except FileNotFoundError as error:
-        raise MissingFileError(f"{path}: no such file; {root} is no run folder (`inspector run` makes one)") from error
+        raise MissingFileError(
+            f"{path}: no such file; {root} is no run folder (`inspector record` makes one)"
+        ) from error
     except OSError as error:
         raise MissingFileError(f"{path}: cannot be read: {error.strerror}") from error
     except ValueError as error:
         raise FormatError(f"{path}: no valid JSON ({error}); the run has to be started again") from error
     found = content.get("version") if isinstance(content, dict) else None
     if found != RUN_VERSION:
-        raise FormatError(f"{path}: run format version {found}; this program reads version {RUN_VERSION}")
-    names = [field.name for field in dataclasses.fields(RunInfo)]
-    missing = [name for name in names if name not in content]
+        text = f"run format version {found}; this program reads version {RUN_VERSION}"
+        raise FormatError(f"{path}: {text}; open it with the program that wrote it, or run again")
+    missing = [name for name in _KINDS if name not in content]
     if missing:
         raise FormatError(f"{path}: lacks {', '.join(missing)}; the run has to be started again")
-    return RunInfo(**{name: content[name] for name in names})
+    for name, kind in _KINDS.items():
+        if not isinstance(content[name], kind):
+            raise FormatError(f"{path}: {name} is {content[name]!r:.60}; expected {_EXPECTED[kind]}")
+    return RunInfo(**{name: content[name] for name in _KINDS})
 
 
 def new_info(dataset: DatasetName, method: str, config: object, seed: int) -> RunInfo:

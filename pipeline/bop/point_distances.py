@@ -2,11 +2,13 @@
 
 Importing this imports numba: do so inside the function that needs it. Vertices come as (3, v), one row per coordinate,
 which lets the compiler use vector instructions; all arrays are C-contiguous float64 and writable, so that each loop
-is compiled once. The machine code is kept on disk beside this file. `no_type_check` keeps jaxtyping's import hook
+is compiled once. The machine code is kept on disk beside this file, else in the user's cache, if either can be
+written to. `no_type_check` keeps jaxtyping's import hook
 from wrapping what numba is to compile.
 """
 
-from typing import no_type_check
+from collections.abc import Callable
+from typing import Any, no_type_check
 
 import numpy as np
 from numba import njit
@@ -17,7 +19,19 @@ BLOCK = 64
 _SIGN_OFF = 0x7FFFFFFFFFFFFFFF
 
 
-@njit(cache=True, error_model="numpy")
+def _compiled(**options: Any) -> Callable[[Callable], Any]:
+    """Decorate a function to be compiled; where its machine code cannot be kept, it is compiled in each process."""
+
+    def decorate(function: Callable) -> Any:
+        try:
+            return njit(cache=True, error_model="numpy", **options)(function)
+        except RuntimeError:  # numba found no folder that it may write to
+            return njit(error_model="numpy", **options)(function)
+
+    return decorate
+
+
+@_compiled()
 @no_type_check
 def max_distance(vertices, poses, symmetries, lens, projected):
     """Smallest over symmetries of the largest distance between a vertex at the estimate and at the ground truth.
@@ -71,7 +85,7 @@ def max_distance(vertices, poses, symmetries, lens, projected):
     return np.sqrt(squared[0]), best_vertex, best_symmetry
 
 
-@njit(cache=True, error_model="numpy")
+@_compiled()
 @no_type_check
 def _chain(a, b):
     """Product of a (3, 4), taken as affine, and b (4, 4), affine; by hand, since BLAS is slow on such small ones."""
@@ -83,7 +97,7 @@ def _chain(a, b):
     return product
 
 
-@njit(cache=True, error_model="numpy")
+@_compiled()
 @no_type_check
 def _point_distances(x, y, z, d, squared):
     """Write |d (x, y, z, 1)|^2 of each vertex, d the difference of two poses (3, 4)."""
@@ -94,7 +108,7 @@ def _point_distances(x, y, z, d, squared):
         squared[i] = dx * dx + dy * dy + dz * dz
 
 
-@njit(cache=True, error_model="numpy")
+@_compiled()
 @no_type_check
 def _projection_distances(x, y, z, a, b, squared):
     """Write the squared distance in pixels between the projections of each vertex by a and by b (3, 4)."""
@@ -108,7 +122,7 @@ def _projection_distances(x, y, z, a, b, squared):
         squared[i] = (u_a - u_b) ** 2 + (v_a - v_b) ** 2
 
 
-@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})
+@_compiled(fastmath={"reassoc", "contract"})
 @no_type_check
 def mean_distance(vertices, poses):
     """Mean distance between a vertex at the estimate and at the ground truth; arguments as for `max_distance`."""

@@ -107,7 +107,7 @@ def check_file(path: Path) -> bool:
         raise EmptyRecordingError(f"{path}: the recording is empty (0 bytes); run the image again")
     if not content.startswith(_MAGIC):
         raise NotARecordingError(
-            f"{path}: starts with {content[:4]!r}, not {_MAGIC!r}: no rerun recording of this version"
+            f"{path}: starts with {content[:4]!r}, not {_MAGIC!r}: no rerun recording of this version; run the image again"
         )
     if _FOOTER not in content[-_FOOTER_WITHIN:]:
         if expected is None:

@@ -57,7 +57,8 @@ def test_what_spreadsheets_do_to_a_file_is_tolerated(tmp_path, text):
 def test_estimates_come_by_falling_score_and_ties_in_the_order_of_the_file(tmp_path):
     scores = [0.1, 0.9, 0.5, 0.9]
     rows = [
-        f"1,{im},{obj},{s},{R},{i} 0 0,-1" for i, (im, obj, s) in enumerate(zip((7, 7, 7, 7), (1, 2, 1, 1), scores, strict=True))
+        f"1,{im},{obj},{s},{R},{i} 0 0,-1"
+        for i, (im, obj, s) in enumerate(zip((7, 7, 7, 7), (1, 2, 1, 1), scores, strict=True))
     ]
     results = read_results(written(tmp_path, f"1,8,1,1,{R},9 0 0,-1", *rows, f"2,7,1,1,{R},8 0 0,-1"))
     assert [e.camera_from_model[0, 3] * 1000 for e in results.estimates(ImageKey(1, 7))] == pytest.approx([1, 3, 2, 0])

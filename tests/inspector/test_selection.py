@@ -1,0 +1,149 @@
+"""What a browser looks at, written into a URL and read back."""
+
+from dataclasses import fields
+from typing import get_args
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from inspector.selection import (
+    DEFAULT_THRESHOLDS,
+    Criterion,
+    DepthLayer,
+    Display,
+    Filter,
+    RowKey,
+    Selection,
+    Status,
+    Style,
+    View,
+    from_query,
+    to_query,
+)
+from inspector.table import COLUMNS
+
+
+def floats(low: float, high: float) -> st.SearchStrategy[float]:
+    """Numbers with the four digits that a URL keeps."""
+    return st.floats(low, high).map(lambda x: float(f"{x:.4g}")).filter(lambda x: low <= x <= high)
+
+
+IDS = st.integers(0, 10**7)
+ROWS = st.builds(RowKey, IDS, IDS, IDS, st.integers(-1, 99), st.integers(-1, 10**6))
+FILTERS = st.builds(
+    Filter,
+    obj_id=st.none() | IDS,
+    scene_id=st.none() | IDS,
+    status=st.sampled_from(get_args(Status)),
+    visible_min=floats(0, 1),
+    visible_max=floats(0, 1),
+)
+DISPLAYS = st.builds(
+    Display,
+    style=st.sampled_from(get_args(Style)),
+    opacity=floats(0, 1),
+    wipe_position=floats(0, 1),
+    depth=st.sampled_from(get_args(DepthLayer)),
+    recorded=st.text(max_size=20),
+    **{item.name: st.booleans() for item in fields(Display) if item.type is bool},
+)
+FIELDS: dict[str, st.SearchStrategy] = {
+    "row": st.none() | ROWS,
+    "method": st.integers(0, 9),
+    "compare": st.none() | st.integers(0, 9),
+    "criterion": st.sampled_from(get_args(Criterion)),
+    "thresholds": st.tuples(*[floats(0.01, 50)] * 4),
+    "tau_mm": floats(1, 100),
+    "delta_mm": floats(1, 50),
+    "sort": st.sampled_from(["error", *(column.id for column in COLUMNS)]),
+    "descending": st.booleans(),
+    "view": st.sampled_from(get_args(View)),
+    "zoom": floats(0.5, 60),
+    "center_u": floats(0, 1),
+    "center_v": floats(0, 1),
+    "follow": st.booleans(),
+    "eye": st.tuples(*[floats(-9, 9)] * 6),
+    "dark": st.booleans(),
+    "filter": FILTERS,
+    "display": DISPLAYS,
+}
+SELECTIONS = st.builds(Selection, **FIELDS)
+WITH_OTHER_DEFAULTS = Selection(delta_mm=5.0, compare=1)
+"""What a browser begins with on ITODD with two methods."""
+
+
+def names() -> list[str]:
+    nested = [f"filter.{item.name}" for item in fields(Filter)] + [f"display.{item.name}" for item in fields(Display)]
+    return [item.name for item in fields(Selection)] + nested
+
+
+@given(SELECTIONS)
+def test_a_url_gives_the_selection_back(selection: Selection):
+    assert from_query(to_query(selection)) == selection
+
+
+@given(SELECTIONS)
+def test_a_url_gives_the_selection_back_where_the_defaults_are_the_datasets(selection: Selection):
+    query = to_query(selection, WITH_OTHER_DEFAULTS)
+    assert from_query(query, WITH_OTHER_DEFAULTS) == selection
+
+
+def test_every_field_takes_part_in_the_round_trip():
+    assert set(FIELDS) == {item.name for item in fields(Selection)}
+
+
+def test_only_what_differs_from_the_usual_is_named():
+    assert to_query(Selection()) == ""
+    assert to_query(Selection(row=RowKey(2, 3, 10, 5, -1), zoom=2.5)) == "row=2,3,10,5,-1&zoom=2.5"
+
+
+def test_a_question_mark_may_stand_before_it():
+    assert from_query("?zoom=3&view=scene") == Selection(zoom=3.0, view="scene")
+
+
+def test_numbers_keep_four_digits():
+    assert from_query(to_query(Selection(center_u=0.123456))).center_u == 0.1235
+
+
+@given(st.text())
+def test_any_text_reads_as_a_selection(text: str):
+    to_query(from_query(text))
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from(names()),
+            st.text()
+            | st.sampled_from(["nan", "inf", "-inf", "1e999", "none", "", "1,2", "1,2,3,4,5", "-1", "9" * 5000])
+            | st.floats().map(str)
+            | st.integers().map(str),
+        )
+    )
+)
+def test_garbage_in_known_fields_never_raises_and_leaves_sound_values(pairs: list[tuple[str, str]]):
+    from urllib.parse import urlencode
+
+    found = from_query(urlencode(pairs))
+    assert found.criterion in DEFAULT_THRESHOLDS
+    assert found.view in get_args(View)
+    assert found.filter.status in get_args(Status)
+    assert found.display.style in get_args(Style)
+    assert 0.2 <= found.zoom <= 200
+    assert 0 <= found.display.opacity <= 1
+    assert -1 <= found.center_u <= 2
+    assert len(found.thresholds) == 4
+    assert all(abs(value) < float("inf") for value in (*found.thresholds, found.tau_mm, found.delta_mm))
+    assert from_query(to_query(found)) is not None
+
+
+def test_one_bad_value_leaves_the_others():
+    assert from_query("zoom=wide&row=1,2,3&method=1&filter.obj_id=6&display.style=glitter") == Selection(
+        method=1, filter=Filter(obj_id=6)
+    )
+
+
+def test_the_threshold_is_that_of_the_criterion():
+    selection = Selection(criterion="mspd").with_threshold(7.0)
+    assert selection.threshold == 7.0
+    assert selection.thresholds == (0.2, 7.0, 0.3, 0.1)
