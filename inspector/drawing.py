@@ -58,7 +58,7 @@ class _Draughtsman:
         self.image_view = selection.view == "image"
         self.nodes: dict[str, Node] = {}
         self.scales: list[ColorScale] = []
-        self.warnings: list[str] = list(frame.problems)
+        self.warnings: list[str] = [*frame.problems, *_unknown(frame)]
         poses = [pose for role in COLORS if (pose := frame.pose(role)) is not None and np.isfinite(pose).all()]
         depths = [float(pose[2, 3]) for pose in poses if pose[2, 3] > 0] or [1.0]
         self.nearest, self.farthest = min(depths), max(depths)
@@ -238,6 +238,16 @@ class _Draughtsman:
             token = (self.frame.key, image)
             scale = 0.4 * FRUSTUM * self.nearest
             self.nodes[f"cameras/{im_id}"] = Viewpoint(token, image, self.frame.camera, camera_from_other, scale)
+
+
+def _unknown(frame: Frame) -> list[str]:
+    """What an address may ask for that the data do not have."""
+    row = frame.row
+    if row.gt_index >= 0 and frame.ground_truth is None:
+        return [f"image {row.im_id} of scene {row.scene_id} has no annotation {row.gt_index} of object {row.obj_id}"]
+    if row.gt_index < 0 and row.estimate >= 0 and frame.estimate is None:
+        return [f"the results have no row {row.estimate}"]
+    return []
 
 
 def _depth_overlay(frame: Frame, display: Display) -> tuple[Rgba, ColorScale]:

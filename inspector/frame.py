@@ -83,7 +83,8 @@ class Frame:
         """The annotated instance; None for a row that has none."""
         if self.row.gt_index < 0:
             return None
-        return next((gt for gt in self.annotations if gt.index == self.row.gt_index), None)
+        found = (gt for gt in self.annotations if gt.index == self.row.gt_index and gt.obj_id == self.row.obj_id)
+        return next(found, None)
 
     @cached_property
     def annotations(self) -> tuple[GroundTruth, ...]:

@@ -49,8 +49,9 @@ class Navigation:
         self._viewport = None
         sideways = Rotation.from_euler("yx", [25, -12], degrees=True)
         position = target + sideways.apply(-target) * 0.9
-        if eye != NO_EYE:
-            position, target = np.array(eye[:3]), np.array(eye[3:])
+        seen = np.array(eye)
+        if 1e-3 < np.linalg.norm(seen[3:] - seen[:3]) < 1e3:  # else it is NO_EYE, or an address made it up
+            position, target = seen[:3], seen[3:]
         with self._client.atomic():
             self._limit_orbit(0.01, 1e3)
             self._camera.up_direction = (0.0, -1.0, 0.0)

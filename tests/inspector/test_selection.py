@@ -101,8 +101,8 @@ def test_a_question_mark_may_stand_before_it():
     assert from_query("?zoom=3&view=scene") == Selection(zoom=3.0, view="scene")
 
 
-def test_numbers_keep_four_digits():
-    assert from_query(to_query(Selection(center_u=0.123456))).center_u == 0.1235
+def test_numbers_keep_six_digits():
+    assert from_query(to_query(Selection(center_u=0.12345678))).center_u == 0.123457
 
 
 @given(st.text())
