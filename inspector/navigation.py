@@ -28,7 +28,7 @@ class Navigation:
 
     def resize(self, width: int, height: int) -> None:
         """Take note of a new size of the window; the image has to be shown again to fit."""
-        self._window = (max(width, 1), max(height, 1))
+        self._window = (min(max(width, 1), 20_000), min(max(height, 1), 20_000))
 
     @property
     def viewport(self) -> Viewport | None:
@@ -78,14 +78,15 @@ class Navigation:
         """Zoom and centre after zooming by a factor about a point of the window (shares 0..1)."""
         assert self._viewport is not None
         view = self._viewport
-        zoom = float(np.clip(view.zoom * factor, 0.5, 60.0))
+        zoom = float(np.clip(view.zoom * np.clip(factor, 0.01, 100), 0.5, 60.0))
         fixed, center = np.array(view.pixel_at(x, y)), np.array(view.center)
         return zoom, self._share(fixed + (center - fixed) * view.zoom / zoom)
 
     def panned(self, dx: float, dy: float) -> tuple[float, float]:
         """Centre after dragging the image by CSS pixels."""
         assert self._viewport is not None
-        return self._share(np.array(self._viewport.center) - np.array([dx, dy]) / self._viewport.scale)
+        moved = np.clip([dx, dy], -1e5, 1e5) / self._viewport.scale
+        return self._share(np.array(self._viewport.center) - moved)
 
     def around(self, camera: Camera, box: tuple[float, float, float, float]) -> tuple[float, tuple[float, float]]:
         """Zoom and centre that show a box (u0, v0, u1, v1) of the image with some room around it."""
@@ -123,5 +124,5 @@ class Navigation:
         """A pixel as a share of the image's width and height, held within the image."""
         assert self._viewport is not None
         extent = 2 * np.array(image_center(self._viewport.camera))
-        u, v = np.clip(pixel / extent, 0, 1)
+        u, v = np.clip(np.nan_to_num(pixel / extent, nan=0.5), 0, 1)
         return float(u), float(v)

@@ -8,6 +8,7 @@ import asyncio
 import contextlib
 import json
 import logging
+import math
 import secrets
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -56,6 +57,9 @@ class PageChannel:
             return None
         try:
             return await self._loop.run_in_executor(self._executor, lambda: self._methods[method](*arguments))
+        except (TypeError, ValueError, OverflowError) as error:  # arguments that our script would not send
+            log.info("the call %s%s of a page: %s", method, tuple(arguments), error)
+            return None
         except InputError as error:  # what cannot be shown says so in the picture already
             log.info("the call %s of a page: %s", method, error)
             return None
@@ -104,11 +108,12 @@ class PageChannels:
         if channel is None:
             return None
         try:
-            arguments = json.loads(query.get("args", "[]"))
-        except ValueError:
+            arguments = json.loads(query.get("args", "[]"), parse_constant=_refuse, parse_float=_finite)
+        except (ValueError, RecursionError):
             return None
-        result = await channel.call(query.get("method", ""), arguments if isinstance(arguments, list) else [])
-        return json.dumps(result).encode()
+        if not isinstance(arguments, list):
+            return None
+        return json.dumps(await channel.call(query.get("method", ""), arguments)).encode()
 
     async def answer_state(self, query: Mapping[str, str]) -> bytes | None:
         """Answer `/inspector/state?key=&since=` with JSON; None for a key that is not known."""
@@ -117,3 +122,12 @@ class PageChannels:
             return None
         since = query.get("since", "0")
         return json.dumps(await channel.news(int(since) if since.isdecimal() else 0)).encode()
+
+
+def _refuse(text: str) -> float:
+    raise ValueError(text)
+
+
+def _finite(text: str) -> float:
+    number = float(text)
+    return number if math.isfinite(number) else _refuse(text)

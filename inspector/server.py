@@ -15,6 +15,7 @@ import secrets
 import socket
 import sys
 import threading
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -46,6 +47,8 @@ def _worth_logging(record: logging.LogRecord) -> bool:
 
 
 _log.addFilter(_worth_logging)
+# Whoever closes a page while it is being drawn need not hear of it on the terminal.
+warnings.filterwarnings("ignore", message="Queued a .* on a closed connection")
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,7 @@
   }
 
   // Calls a method at most once at a time; what arrives meanwhile is merged into one later call.
-  function merged(method, merge) {
+  function merged(method, merge, answered = () => {}) {
     let busy = false;
     let waiting = null;
     return async function send(args) {
@@ -31,7 +31,7 @@
         const now = waiting;
         waiting = null;
         try {
-          await call(method, ...now);
+          answered(await call(method, ...now));
         } catch { /* the server went away: viser shows that itself */ }
       }
       busy = false;
@@ -234,6 +234,7 @@
   const onPicture = (event) => event.target === mainCanvas();
   const inImage = () => state.view === "image" && !state.grab;
   const zoom = merged("zoom", (a, b) => [b[0], b[1], a[2] * b[2]]);
+  const hover = merged("hover", (_, b) => b, (answer) => { overlay.readout.textContent = answer?.text ?? ""; });
   const pan = merged("pan", (a, b) => [a[0] + b[0], a[1] + b[1]]);
 
   function keepFromViser(event) {
@@ -243,7 +244,6 @@
 
   function followMouse() {
     let pressed = null; // where the button went down
-    let hovering = false;
 
     window.addEventListener("wheel", (event) => {
       if (!onPicture(event) || !inImage()) return;
@@ -258,7 +258,7 @@
       if (document.activeElement instanceof HTMLElement) document.activeElement.blur();
     }, true);
 
-    window.addEventListener("pointermove", async (event) => {
+    window.addEventListener("pointermove", (event) => {
       if (pressed !== null) {
         const [dx, dy] = [event.clientX - pressed.x, event.clientY - pressed.y];
         pressed = { ...pressed, x: event.clientX, y: event.clientY, moved: pressed.moved + Math.abs(dx) + Math.abs(dy) };
@@ -268,11 +268,7 @@
         }
         return;
       }
-      if (!onPicture(event) || hovering) return;
-      hovering = true;
-      const answer = await call("hover", ...place(event)).catch(() => null);
-      overlay.readout.textContent = answer?.text ?? "";
-      setTimeout(() => { hovering = false; }, 40);
+      if (onPicture(event)) hover(place(event));
     }, true);
 
     window.addEventListener("pointerup", (event) => {

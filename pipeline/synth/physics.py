@@ -27,7 +27,7 @@ CONTACT_MARGIN = 0.00012
 class Body:
     """A thing to be dropped."""
 
-    hulls: Sequence[Float[np.ndarray, "n 3"]]
+    hulls: Sequence[Float[np.ndarray, "_ 3"]]
     """Vertices of convex pieces that together contain the body; metres, body frame."""
     start: Float[np.ndarray, "4 4"]
     """World from body, before the fall."""
@@ -41,7 +41,7 @@ class Wall:
     half_sizes: tuple[float, float, float]
 
 
-def convex_pieces(solid_mm: Manifold, slices: int = 6) -> list[Float[np.ndarray, "n 3"]]:
+def convex_pieces(solid_mm: Manifold, slices: int = 6) -> list[Float[np.ndarray, "_ 3"]]:
     """Convex hulls (metres) of slices of a solid across its longest side."""
     low, high = np.reshape(solid_mm.bounding_box(), (2, 3))
     axis = int(np.argmax(high - low))

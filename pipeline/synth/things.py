@@ -23,7 +23,7 @@ class Thing:
     name: str
     obj_id: int | None
     solid_mm: Manifold
-    hulls: list[Float[np.ndarray, "n 3"]]
+    hulls: list[Float[np.ndarray, "_ 3"]]
     surface: Surface
 
 

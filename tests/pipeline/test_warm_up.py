@@ -27,13 +27,13 @@ def test_nothing_is_left_to_compile():
     assert warm
     assert [name for name, signatures in warm.items() if not signatures] == []
 
-    # As a dataset gives them: other memory layouts, several symmetries, a matrix of integers.
+    # As a dataset gives them: other memory layouts, several symmetries, a matrix of single precision.
     corners = np.asfortranarray(np.random.default_rng(0).normal(size=(100, 3)))
     turn = np.diag([-1.0, -1.0, 1.0, 1.0])
     faces = np.zeros((1, 3), np.int32)
     model = Model(obj_id=2, vertices=corners, faces=faces, diameter=1.0, symmetries=np.stack([np.eye(4), turn]))
     pose = np.eye(4, dtype=np.float32)
     errors.mssd(model, pose, pose)
-    errors.mspd(model, np.eye(3, dtype=int), pose, pose)
+    errors.mspd(model, np.eye(3, dtype=np.float32), pose, pose)
     errors.add(model, pose, pose)
     assert compiled_functions() == warm
