@@ -56,6 +56,7 @@ class _Draughtsman:
         self.frame = frame
         self.display: Display = selection.display
         self.image_view = selection.view == "image"
+        self.close_up = selection.close_up
         self.nodes: dict[str, Node] = {}
         self.scales: list[ColorScale] = []
         self.warnings: list[str] = [*frame.problems, *_unknown(frame)]
@@ -153,7 +154,7 @@ class _Draughtsman:
                 self._mesh(role, frame.model, frame.pose(role), COLORS[role], display.opacity, wireframe)
         if not self.image_view or display.style in ("wireframe", "shaded"):
             return
-        token = (display.style, display.opacity)
+        token = (display.style, display.opacity, self.close_up)
         if display.wipe and {"ground_truth", "estimate"} <= set(roles):
             self._picture("estimate", (*token, display.wipe_position), self._wiped, 40)
             roles = [role for role in roles if role not in ("ground_truth", "estimate")]
@@ -181,7 +182,8 @@ class _Draughtsman:
 
     def _silhouette(self, role: Role, mask: Bool[np.ndarray, "h w"]) -> Rgba:
         fill = 0.45 * self.display.opacity if self.display.style == "fill" else 0.0
-        thickness = 4 - LEVELS[role] if self.frame.fineness > 1 else 1  # fine pixels, towards the inside
+        thin, step = (2, 1) if self.close_up else (3, 2)
+        thickness = thin + step * (2 - LEVELS[role])  # fine pixels, towards the inside
         return layers.silhouette(mask, COLORS[role], fill=fill, opacity=self.display.opacity, thickness=thickness)
 
     def _wiped(self) -> Rgba:

@@ -22,6 +22,10 @@ NO_EYE = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 """In 3D, look from where the view starts."""
 
 
+CLOSE_UP = 3.0
+"""Zoom from which outlines are drawn thinner."""
+
+
 class RowKey(NamedTuple):
     """Names a row of the target table: a ground-truth instance, or an estimate that has none (`gt_index` -1)."""
 
@@ -110,11 +114,16 @@ class Selection:
         return self.thresholds[list(DEFAULT_THRESHOLDS).index(self.criterion)]
 
     def same_picture(self, other: "Selection") -> bool:
-        """Whether two selections differ at most in zoom and point of view."""
+        """Whether two selections differ at most in zoom and point of view, in a way that needs no other outlines."""
         here = replace(
             self, zoom=other.zoom, center_u=other.center_u, center_v=other.center_v, eye=other.eye, follow=other.follow
         )
-        return here == other
+        return here == other and self.close_up == other.close_up
+
+    @property
+    def close_up(self) -> bool:
+        """Whether the image is shown so large that thin outlines can be seen."""
+        return self.zoom >= CLOSE_UP
 
     @property
     def table_key(self) -> tuple:

@@ -21,7 +21,7 @@ CHROMIUM_ARGUMENTS = [
 ]
 SIZE = {"width": 1440, "height": 810}
 PICTURES = {
-    "image": ("row=3,2,3,6,-1", []),
+    "image": ("row=3,2,3,6,-1&follow=1", []),
     "scene": ("row=2,7,5,4,-1&view=scene&display.others=1", ["Curves"]),
     "vsd": ("row=2,2,4,3,-1&follow=1&display.style=fill", ["VSD"]),
 }
