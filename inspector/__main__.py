@@ -12,6 +12,8 @@ from inspector.commands.doctor import DoctorConfig
 from inspector.commands.doctor import run as run_doctor
 from inspector.commands.download import DownloadConfig
 from inspector.commands.download import run as run_download
+from inspector.commands.evaluate import EvaluateConfig
+from inspector.commands.evaluate import run as run_evaluate
 from inspector.commands.record import RecordConfig
 from inspector.commands.record import run as run_record
 from inspector.commands.serve import ServeConfig
@@ -23,6 +25,7 @@ def main() -> None:
     """Run a subcommand; what is wrong with the input is told in one line."""
     commands = {
         "serve": (ServeConfig, run_serve),
+        "evaluate": (EvaluateConfig, run_evaluate),
         "record": (RecordConfig, run_record),
         "doctor": (DoctorConfig, run_doctor),
         "download": (DownloadConfig, run_download),
