@@ -226,23 +226,23 @@ class Workspace:
             self._publish(index, assessment)
 
     def _complete(self, index: int) -> None:
-        """Add what takes longer: visible fractions where the dataset has none, and VSD."""
+        """Add what takes longer: visible fractions where the dataset has none, VSD, and ADI, the slowest, last."""
         assessment = self._assessments[index]
         if assessment is None:
             return
-        if self.methods:
-            with self.job("ADI") as progress:
-                assessment = with_adi(self.dataset, self.methods[index].results, assessment, progress)
-                self._publish(index, assessment)
         with self.job("visible fractions") as progress:
             assessment = with_visibility(self.dataset, assessment, progress)
             self._publish(index, assessment)
-        if self.methods:
-            with self.job("VSD") as progress:
-                results = self.methods[index].results
-                assessment = with_vsd(self.dataset, results, assessment, TAU, self.delta, progress)
-                self._report(assessment.problems)
-                self._publish(index, assessment)
+        if not self.methods:
+            return
+        results = self.methods[index].results
+        with self.job("VSD") as progress:
+            assessment = with_vsd(self.dataset, results, assessment, TAU, self.delta, progress)
+            self._publish(index, assessment)
+        with self.job("ADI") as progress:
+            assessment = with_adi(self.dataset, results, assessment, progress)
+            self._report(assessment.problems)
+            self._publish(index, assessment)
 
     def _publish(self, index: int, assessment: Assessment) -> None:
         self._assessments[index] = assessment

@@ -7,7 +7,7 @@ from inspector.frame import Frame
 from inspector.selection import DEFAULT_THRESHOLDS, Selection
 from inspector.views import Context
 from pipeline.bop import errors
-from pipeline.bop.assessment import NO_OBJECT
+from pipeline.bop.assessment import MOST_ADI_VERTICES, NO_OBJECT
 
 
 class TargetView:
@@ -71,7 +71,8 @@ def _error_lines(frame: Frame, found: np.ndarray, truth: np.ndarray, selection: 
     limits = dict(zip(DEFAULT_THRESHOLDS, selection.thresholds, strict=True))
     mssd, mspd = errors.mssd(model, found, truth), errors.mspd(model, camera.K, found, truth)
     symmetric = len(model.symmetries) > 1
-    average = (errors.adi if symmetric else errors.add)(model, found, truth)
+    slow = symmetric and len(model.vertices) > MOST_ADI_VERTICES
+    average = np.nan if slow else (errors.adi if symmetric else errors.add)(model, found, truth)
     scaled = mspd.value * 640 / camera.width
     along = found[2, 3] - truth[2, 3]
     across = np.linalg.norm((found - truth)[:2, 3])

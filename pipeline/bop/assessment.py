@@ -28,6 +28,10 @@ NO_OBJECT = 0
 """Object id of a row that stands for an image alone; BOP counts objects from 1."""
 
 
+MOST_ADI_VERTICES = 100_000
+"""Vertices up to which ADI is computed here; models for evaluation have fewer."""
+
+
 @dataclass(frozen=True)
 class Assessment:
     """The rows of one method, in columns; an instance without an estimate has infinite errors, NaN is unknown."""
@@ -127,15 +131,23 @@ def with_known(assessment: Assessment, earlier: Assessment) -> Assessment:
 def with_adi(
     dataset: Dataset, results: Results, assessment: Assessment, progress: Progress = lambda _: None
 ) -> Assessment:
-    """Fill in ADI for objects with symmetries, which takes about ten times as long as all other errors together."""
+    """Fill in ADI for objects with symmetries, which takes about ten times as long as all other errors together.
+
+    It stays unknown for models of so many vertices that one pair may take a minute; `problems` names them.
+    """
     values = assessment.add.copy()
+    problems = dict.fromkeys(assessment.problems)
     for key, rows in _by_image(assessment, np.isnan(values) & (assessment.estimate >= 0), progress):
         truths = {gt.index: gt for gt in dataset.ground_truth(key)}
         for row in rows[assessment.gt_index[rows] >= 0]:
             model = dataset.model(int(assessment.obj_id[row]))
+            if len(model.vertices) > MOST_ADI_VERTICES:
+                size = f"{len(model.vertices)} vertices, above {MOST_ADI_VERTICES}"
+                problems[f"{dataset.models.path(model.obj_id)}: has {size}: ADI is left out; simplify the mesh"] = None
+                continue
             estimate = results.estimate(int(assessment.estimate[row])).camera_from_model
             values[row] = errors.adi(model, estimate, truths[int(assessment.gt_index[row])].camera_from_model)
-    return replace(assessment, add=values)
+    return replace(assessment, add=values, problems=tuple(problems))
 
 
 def with_vsd(

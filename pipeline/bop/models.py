@@ -1,6 +1,6 @@
 """Object models of a BOP dataset: mesh, diameter and symmetries as a `Model` in metres."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,9 @@ from pipeline.bop.ply import Ply, read_ply
 from pipeline.exceptions import FormatError, InputError
 from pipeline.scene import Model
 from pipeline.symmetry import symmetry_transforms
+
+MOST_COMPARED = 5000
+"""Points of which every pair is measured to find the diameter; more are sorted out first."""
 
 
 def read_model(path: Path, obj_id: int, info: Mapping[str, Any] | None = None, appearance: bool = True) -> Model:
@@ -64,8 +67,46 @@ def diameter_of(points: Float[np.ndarray, "n 3"]) -> float:
         corners = points[ConvexHull(points).vertices]
     except (QhullError, ValueError):  # flat or too few points have no hull
         corners = np.unique(points, axis=0)
+    if len(corners) > MOST_COMPARED:
+        return _diameter_of_many(corners)
     blocks = np.array_split(corners, 1 + len(corners) // 1000)  # a bound on memory
     return max(float(cdist(block, corners).max()) for block in blocks)
+
+
+def _diameter_of_many(corners: Float[np.ndarray, "n 3"]) -> float:
+    """Largest distance between many points, exactly, in time that hardly grows with their square.
+
+    Every direction is within an angle of one of a grid of directions. Seen along that one, a pair at the largest
+    distance spans at least its cosine times any distance that is known: only the points at both ends can be the pair.
+    """
+    from scipy.spatial.distance import cdist
+
+    count = 32
+    steps = (2 * np.arange(count) + 1) / count - 1
+    a, b, c = (grid.ravel() for grid in np.meshgrid(steps, steps, [1.0]))
+    directions = np.concatenate([np.stack(axes, axis=1) for axes in ((a, b, c), (b, c, a), (c, a, b))])
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    cosine = np.cos(np.arctan(np.sqrt(2) / count))  # of half the diagonal of a cell in the middle of a side of the cube
+    largest = max(
+        np.linalg.norm(corners[along.argmax()] - corners[along.argmin()]) for along in _along(corners, directions)
+    )
+    for along in _along(corners, directions):
+        low, high, reach = along.min(), along.max(), largest * cosine
+        if high - low >= reach:
+            ends = corners[along >= low + reach], corners[along <= high - reach]
+            largest = max(largest, *(cdist(part, ends[1]).max() for part in np.array_split(ends[0], _parts(ends))))
+    return float(largest)
+
+
+def _along(points: np.ndarray, directions: np.ndarray) -> Iterator[np.ndarray]:
+    """Coordinates of points along each direction."""
+    for block in np.array_split(directions, 1 + len(directions) // 16):
+        yield from block @ points.T
+
+
+def _parts(ends: tuple[np.ndarray, np.ndarray]) -> int:
+    """In how many parts to compare two sets of points, for a bound on memory."""
+    return 1 + len(ends[0]) * len(ends[1]) // 10_000_000
 
 
 def _diameter(info: Mapping[str, Any], path: Path, obj_id: int, vertices: Float[np.ndarray, "v 3"]) -> float:

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.bop import point_distances
-from pipeline.bop.assessment import assess
+from pipeline.bop import models, point_distances
+from pipeline.bop.assessment import assess, with_adi
 from pipeline.bop.dataset import Dataset, open_dataset
 from pipeline.bop.doctor import diagnose
 from pipeline.bop.results import Results, read_results, write_results
@@ -192,3 +192,21 @@ def test_loops_are_compiled_also_where_nothing_can_be_written(monkeypatch):
 
     monkeypatch.setattr(point_distances, "njit", njit)
     assert point_distances._compiled()(lambda x: x + 1)(1) == 2
+
+
+@pytest.mark.parametrize("stretch", [(1, 1, 1), (3, 2, 1), (1, 1, 0.01)])
+def test_the_diameter_of_many_points_is_exact(stretch, monkeypatch):
+    monkeypatch.setattr(models, "MOST_COMPARED", 10)
+    points = np.random.default_rng(0).normal(size=(2000, 3))
+    points *= np.array(stretch) / np.linalg.norm(points, axis=1, keepdims=True)
+    brute = max(np.linalg.norm(points - point, axis=1).max() for point in points)
+    assert models.diameter_of(points) == pytest.approx(brute, rel=1e-14)
+
+
+def test_adi_of_huge_models_is_left_out_and_that_is_said(root, results, monkeypatch):
+    dataset = open_dataset(root)
+    assessment = assess(dataset, results)
+    monkeypatch.setattr("pipeline.bop.assessment.MOST_ADI_VERTICES", len(dataset.model(1).vertices) - 1)
+    filled = with_adi(dataset, results, assessment)
+    assert np.isnan(filled.add[(filled.obj_id == 1) & (filled.estimate >= 0)]).all()
+    assert [text for text in filled.problems if "obj_000001.ply: has" in text and "ADI is left out" in text]
