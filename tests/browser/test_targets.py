@@ -219,14 +219,14 @@ def test_two_browsers_have_their_own_state(page: OpenedPage, server, open_page):
     page.click_row(3)
     mine = page.address()
     other = open_page(server.url)
-    assert other.selected() == 0
+    other.eventually(lambda: other.selected() == 0)
     other.click_row(6)
     other.press("2")
     other.eventually(lambda: other.address().get("view") == "scene")
     page.click_row(3)
     assert page.address() == mine
-    assert page.selected() == 3
-    assert other.selected() == 6
+    page.eventually(lambda: page.selected() == 3)
+    other.eventually(lambda: other.selected() == 6)
     other.close()
 
 

@@ -32,7 +32,7 @@ def test_a_reload_restores_what_was_seen(page: OpenedPage):
     page.eventually(lambda: page.address() == before)
     assert before["row"] == "1,0,2,2,-1"
     page.eventually(lambda: {row[1] for row in page.rows()} == {"2"})
-    assert page.legend()[0] == "scene 1 · image 0 · object 2"
+    page.eventually(lambda: page.legend()[0] == "scene 1 · image 0 · object 2")
     page.eventually(lambda: abs(page.picture().astype(int) - picture).mean() < 1)
     page.eventually(lambda: page.control("Correct if").get_by_role("combobox").input_value() == "MSPD [px]")
     assert page.page.evaluate("getComputedStyle(document.documentElement).colorScheme") == "light"
@@ -43,7 +43,7 @@ def test_a_link_opens_the_same_view_in_another_browser(page: OpenedPage, open_pa
     address = page.eventually(lambda: page.address() if "eye" in page.address() else None)
     other = open_page(page.url, page.page.url.split("&", 1)[1])
     other.eventually(lambda: other.address() == address)
-    assert other.legend()[0] == "scene 1 · image 1 · object 1"
+    other.eventually(lambda: other.legend()[0] == "scene 1 · image 1 · object 1")
     other.eventually(lambda: abs(other.picture().astype(int) - page.picture()).mean() < 2)
     other.close()
 
