@@ -121,7 +121,7 @@ class Session:
 
     def open_address(self, query: str) -> None:
         """Look at what an address names; what it leaves open is as at the start, but a row stays."""
-        asked = self.workspace.within(from_query(query, self._first))
+        asked = self.workspace.within(from_query(str(query), self._first))
         self._chosen |= asked.row is not None
         self.update(replace(asked, row=asked.row or self.selection.row))
         self.refresh()
