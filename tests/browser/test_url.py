@@ -27,6 +27,8 @@ LOOK = "row=1,0,2,2,-1&view=image&zoom=2.5&center_u=0.4&center_v=0.7&criterion=m
 def test_a_reload_restores_what_was_seen(page: OpenedPage):
     page.show(LOOK)
     page.eventually(lambda: page.address().get("zoom") == "2.5")
+    page.eventually(lambda: "perfect: MSSD 0.0 mm" in " ".join(page.legend()))
+    page.settled()
     before, picture = page.address(), page.eventually(lambda: _still(page))
     page.reload()
     page.eventually(lambda: page.address() == before)
