@@ -33,7 +33,6 @@ NEIGHBOURS_SHOWN = 100
 class Instance(NamedTuple):
     """An object in the image besides the selected one."""
 
-    label: str
     model: Model
     camera_from_model: Float[np.ndarray, "4 4"]
 
@@ -104,15 +103,13 @@ class Frame:
     @cached_property
     def others(self) -> tuple[Instance, ...]:
         """All other annotated instances of the image; where nothing is annotated, all other estimates."""
-        found = []
-        for gt in self.annotations:
-            if gt.index != self.row.gt_index:
-                found.append((f"object {gt.obj_id}", gt.obj_id, gt.camera_from_model))
-        if not found and self.workspace.methods:
-            for estimate in self.workspace.methods[self.method].results.estimates(self.key):
-                if self.estimate is None or estimate.camera_from_model is not self.estimate.camera_from_model:
-                    found.append((f"object {estimate.obj_id}", estimate.obj_id, estimate.camera_from_model))
-        return tuple(self._with_model(*item) for item in found if self.has_model(item[1]))
+        shown = [(gt.obj_id, gt.camera_from_model) for gt in self.annotations if gt.index != self.row.gt_index]
+        if not self.annotations and self.workspace.methods:
+            results = self.workspace.methods[self.method].results
+            estimates = [results.estimate(row) for row in results.rows(self.key).tolist() if row != self.row.estimate]
+            shown = [(estimate.obj_id, estimate.camera_from_model) for estimate in estimates]
+        models = self.workspace.dataset.model
+        return tuple(Instance(models(obj_id), pose) for obj_id, pose in shown if self.has_model(obj_id))
 
     def pose(self, role: Role) -> Float[np.ndarray, "4 4"] | None:
         """`camera_from_model` in metres of the ground truth or an estimate; None where there is none."""
@@ -221,9 +218,6 @@ class Frame:
         except InputError:
             return False
         return True
-
-    def _with_model(self, label: str, obj_id: int, pose: Float[np.ndarray, "4 4"]) -> Instance:
-        return Instance(label, self.workspace.dataset.model(obj_id), pose)
 
 
 def frame_of(workspace: Workspace, selection: Selection) -> Frame | None:

@@ -68,16 +68,6 @@ def silhouette(
     return layer
 
 
-def over(top: Rgba, bottom: Rgba) -> Rgba:
-    """Composite two layers (straight alpha)."""
-    alpha_top = top[..., 3:].astype(np.float32) / 255
-    alpha_bottom = bottom[..., 3:].astype(np.float32) / 255 * (1 - alpha_top)
-    alpha = alpha_top + alpha_bottom
-    color = top[..., :3] * alpha_top + bottom[..., :3] * alpha_bottom
-    color = np.divide(color, alpha, out=np.zeros_like(color), where=alpha > 0)
-    return np.concatenate([color, alpha * 255], axis=-1).round().astype(np.uint8)
-
-
 def wiped(left: Rgba, right: Rgba, position: float) -> Rgba:
     """Return `left` left of a vertical line at `position` (0..1 of the width), `right` on its other side, and the line."""
     result = right.copy()

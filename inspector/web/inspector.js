@@ -232,7 +232,7 @@
   }
 
   const onPicture = (event) => event.target === mainCanvas();
-  const inImage = () => state.view === "image" && !state.grab;
+  const inImage = () => state.view === "image";
   const zoom = merged("zoom", (a, b) => [b[0], b[1], a[2] * b[2]]);
   const hover = merged("hover", (_, b) => b, (answer) => { overlay.readout.textContent = answer?.text ?? ""; });
   const pan = merged("pan", (a, b) => [a[0] + b[0], a[1] + b[1]]);

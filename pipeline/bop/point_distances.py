@@ -3,8 +3,7 @@
 Importing this imports numba: do so inside the function that needs it. Vertices come as (3, v), one row per coordinate,
 which lets the compiler use vector instructions; all arrays are C-contiguous float64 and writable, so that each loop
 is compiled once. The machine code is kept on disk beside this file, else in the user's cache, if either can be
-written to. `no_type_check` keeps jaxtyping's import hook
-from wrapping what numba is to compile.
+written to. `no_type_check` keeps jaxtyping's import hook from wrapping what numba is to compile.
 """
 
 from collections.abc import Callable

@@ -57,17 +57,6 @@ def test_a_silhouette_is_filled_and_framed():
     assert layers.silhouette(disk(), RED, fill=0, opacity=0.8, thickness=1)[20, 20, 3] == 0
 
 
-def test_over_composites_straight_alpha():
-    top, bottom = layers.blank(1, 3), layers.blank(1, 3)
-    layers.paint(top, np.array([[True, True, False]]), RED, 0.5)
-    layers.paint(bottom, np.array([[False, True, True]]), BLUE, 1.0)
-    both = layers.over(top, bottom)[0]
-    assert both[0].tolist() == [255, 0, 0, 128]
-    assert both[1, 3] == 255
-    np.testing.assert_allclose(both[1, :3], (128, 0, 127), atol=1)
-    assert both[2].tolist() == [0, 0, 255, 255]
-
-
 @pytest.mark.parametrize("position", [0.0, 0.25, 1.0])
 def test_a_wipe_shows_one_layer_left_and_the_other_right_of_its_line(position: float):
     left, right = np.full((4, 8, 4), 10, np.uint8), np.full((4, 8, 4), 20, np.uint8)
