@@ -4,13 +4,14 @@ The numbers are the benchmark's or there are none: whatever would leave out a ta
 """
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
 
+from pipeline.bop.columns import HERE, Columns, Execution, Progress
 from pipeline.bop.dataset import Dataset
 from pipeline.bop.results import Results
 from pipeline.bop.scores import (
@@ -25,9 +26,6 @@ from pipeline.bop.scores import (
 from pipeline.bop.target_errors import TargetErrors, errors_of_targets
 from pipeline.exceptions import FormatError, InputError
 from pipeline.scene import Target
-
-Progress = Callable[[float], None]
-"""Called with the finished share, 0..1."""
 
 _PREFIX = "bop19_average_recall"
 
@@ -78,7 +76,12 @@ class Evaluation:
 
 
 def evaluate(
-    dataset: Dataset, results: Results, progress: Progress = lambda _: None, *, with_vsd: bool = True
+    dataset: Dataset,
+    results: Results,
+    progress: Progress = lambda _: None,
+    *,
+    with_vsd: bool = True,
+    execution: Execution = HERE,
 ) -> Evaluation:
     """Score results on the targets of a dataset; estimates for anything else do not count, as in BOP.
 
@@ -90,21 +93,21 @@ def evaluate(
     """
     begun = time.perf_counter()
     targets = tuple(target for target in dataset.targets() if target.inst_count > 0)
-    _check(dataset, results, targets)
-    why_no_vsd = _why_no_vsd(dataset, targets) if with_vsd else "not asked for"
-    computed = errors_of_targets(dataset, results, targets, with_vsd=not why_no_vsd)
-    instances = _found_instances(_counted(computed, len(targets), progress))
+    check(dataset, results, targets)
+    why_no_vsd = why_no_depth(dataset, targets) if with_vsd else "not asked for"
+    compute = partial(localization_columns, with_vsd=not why_no_vsd)
+    columns = execution.columns(compute, dataset, results, targets, progress)
+    instances = FoundInstances(**columns)
     return Evaluation(dataset.name, results.method, instances, why_no_vsd, time.perf_counter() - begun)
 
 
-def _counted(computed: Iterable[TargetErrors], total: int, progress: Progress) -> Iterator[TargetErrors]:
-    for done, errors in enumerate(computed, start=1):
-        yield errors
-        if done % 16 == 0 or done == total:
-            progress(done / total)
+def localization_columns(dataset: Dataset, results: Results, targets: Sequence[Target], with_vsd: bool) -> Columns:
+    """The fields of `FoundInstances` for some targets, `vsd` only if asked for."""
+    return _found_instances(errors_of_targets(dataset, results, targets, with_vsd))
 
 
-def _check(dataset: Dataset, results: Results, targets: Sequence[Target]) -> None:
+def check(dataset: Dataset, results: Results, targets: Sequence[Target]) -> None:
+    """Refuse what cannot be scored: damaged ground truth, no targets, results for something else."""
     where = f"{dataset.name}/{dataset.split}"
     for scene_id in dataset.scene_ids:
         for damage in dataset.scene_ground_truth(scene_id).damage.values():
@@ -118,7 +121,7 @@ def _check(dataset: Dataset, results: Results, targets: Sequence[Target]) -> Non
         )
 
 
-def _why_no_vsd(dataset: Dataset, targets: Sequence[Target]) -> str:
+def why_no_depth(dataset: Dataset, targets: Sequence[Target]) -> str:
     """Name an image with targets and without depth; empty if there is none."""
     images = dict.fromkeys(target.image for target in targets)
     without = [key for key in images if dataset.depth_path(key) is None]
@@ -128,7 +131,7 @@ def _why_no_vsd(dataset: Dataset, targets: Sequence[Target]) -> str:
     return f"no depth image for {len(without)} of {len(images)} images with targets (first: {first})"
 
 
-def _found_instances(targets: Iterable[TargetErrors]) -> FoundInstances:
+def _found_instances(targets: Iterable[TargetErrors]) -> Columns:
     """Match the estimates of every target, whose errors may be forgotten then: a byte a threshold is kept."""
     ids: list[tuple[int, int, int, int]] = []
     fractions: list[float] = []
@@ -141,17 +144,13 @@ def _found_instances(targets: Iterable[TargetErrors]) -> FoundInstances:
         mspd.append(found(errors.mspd, MSPD_THETAS_PX))
         if errors.vsd is not None:
             vsd.append(np.stack([found(at_tau, THETAS) for at_tau in errors.vsd], axis=1))
-    scene_id, im_id, obj_id, gt_index = np.array(ids, dtype=np.int64).T
-    return FoundInstances(
-        scene_id=scene_id,
-        im_id=im_id,
-        obj_id=obj_id,
-        gt_index=gt_index,
-        visible_fraction=np.array(fractions, dtype=float),
-        mssd=np.concatenate(mssd),
-        mspd=np.concatenate(mspd),
-        vsd=np.concatenate(vsd) if vsd else None,
-    )
+    columns = dict(zip(("scene_id", "im_id", "obj_id", "gt_index"), np.array(ids, dtype=np.int64).T, strict=True))
+    columns |= {
+        "visible_fraction": np.array(fractions, dtype=float),
+        "mssd": np.concatenate(mssd),
+        "mspd": np.concatenate(mspd),
+    }
+    return columns | ({"vsd": np.concatenate(vsd)} if vsd else {})
 
 
 def _named(values: Scores) -> dict[str, float | None]:

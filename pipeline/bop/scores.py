@@ -51,7 +51,7 @@ class FoundInstances:
     """At each of `THETAS`."""
     mspd: Bool[np.ndarray, "n t"]
     """At each of `MSPD_THETAS_PX`."""
-    vsd: Bool[np.ndarray, "n tau t"] | None
+    vsd: Bool[np.ndarray, "n tau t"] | None = None
     """At each misalignment tolerance and each of `THETAS`; None where VSD is not known."""
 
     def __len__(self) -> int:
