@@ -8,6 +8,8 @@ import tyro
 from rich.console import Console
 from rich.markup import escape
 
+from inspector.commands.check import CheckConfig
+from inspector.commands.check import run as run_check
 from inspector.commands.doctor import DoctorConfig
 from inspector.commands.doctor import run as run_doctor
 from inspector.commands.download import DownloadConfig
@@ -26,6 +28,7 @@ def main() -> None:
     commands = {
         "serve": (ServeConfig, run_serve),
         "evaluate": (EvaluateConfig, run_evaluate),
+        "check": (CheckConfig, run_check),
         "record": (RecordConfig, run_record),
         "doctor": (DoctorConfig, run_doctor),
         "download": (DownloadConfig, run_download),

@@ -8,18 +8,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from pipeline.bop.json_files import read_bytes, write_atomically
-from pipeline.bop.results_csv import COLUMNS, HEADER, parse_rows
+from pipeline.bop.json_files import write_atomically
+from pipeline.bop.results_csv import HEADER, MAX_ROWS, Scan, scan
 from pipeline.bop.units import millimetres
-from pipeline.exceptions import MissingFileError
+from pipeline.exceptions import FormatError, MissingFileError
 from pipeline.geometry import transform
 from pipeline.scene import ImageKey, PoseEstimate
 
-_FILE_NAME = re.compile(r"(?P<method>.+?)_(?P<dataset>[A-Za-z0-9]+)-(?P<split>(?:test|val|train)[A-Za-z0-9]*)(?:_.*)?")
+_FILE_NAME = re.compile(
+    r"(?P<method>.+?)_(?P<dataset>[A-Za-z0-9]+)-(?P<split>(?:test|val|train)[A-Za-z0-9]*)(?:-[A-Za-z0-9]+)?(?:_.*)?"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,28 +104,59 @@ class Results:
         return order, self.scene_id[order], self.im_id[order]
 
 
-def read_results(path: Path) -> Results:
+def read_results(path: Path, max_rows: int = MAX_ROWS) -> Results:
     """Read a results file; a missing header, a byte order mark, CRLF and spare spaces are tolerated.
 
-    Raises MissingFileError if it cannot be read, and FormatError that names the line, the column and the value for
-    the first bad row and says how many more there are.
+    Raises MissingFileError if it cannot be read, and FormatError if it holds more than `max_rows` rows, or a bad one:
+    then it names the line, the column and the value of the first and says how many more there are.
     """
+    path = Path(path)
+    found = scan_results(path, max_rows)
+    if found.faults.counts:
+        raise FormatError(f"{path}: {found.faults}")
+    return results_of(found, path.name)
+
+
+def scan_results(path: Path, max_rows: int = MAX_ROWS) -> Scan:
+    """Read the good rows of a results file and what is wrong with the others; raises where none can be read."""
     path = Path(path)
     if not path.is_file():
         problem = "is no file" if path.exists() else "no such file"
         raise MissingFileError(f"{path}: {problem}; give a results file (CSV)")
-    values = parse_rows(path, read_bytes(path))
-    name = _FILE_NAME.fullmatch(path.stem)
+    return scan(path, max_rows)
+
+
+def results_of(found: Scan, file_name: str) -> Results:
+    """The good rows as results of the method, dataset and split that the file's name tells."""
+    name = name_parts(file_name)
+    columns = found.columns
     return Results(
-        **{column: values[:, i].astype(np.int64) for i, column in enumerate(COLUMNS[:3])},
-        score=values[:, 3].copy(),
-        rotation=values[:, 4:13].reshape(-1, 3, 3),
-        translation_mm=values[:, 13:16].copy(),
-        time_s=values[:, 16].copy(),
-        method=name["method"] if name else path.stem,
-        dataset_name=name["dataset"] if name else "",
-        split=name["split"] if name else "",
+        scene_id=columns["scene_id"],
+        im_id=columns["im_id"],
+        obj_id=columns["obj_id"],
+        score=columns["score"],
+        rotation=columns["R"].reshape(-1, 3, 3),
+        translation_mm=columns["t"],
+        time_s=columns["time"],
+        method=name.method,
+        dataset_name=name.dataset,
+        split=name.split,
     )
+
+
+class NameParts(NamedTuple):
+    """What the name of a results file tells; dataset and split are empty where it does not."""
+
+    method: str
+    dataset: str
+    split: str
+
+
+def name_parts(file_name: str) -> NameParts:
+    """Method, dataset and split of `METHOD_DATASET-SPLIT.csv`; underscores in the method are put up with."""
+    stem = Path(file_name).stem
+    found = _FILE_NAME.fullmatch(stem)
+    return NameParts(found["method"], found["dataset"], found["split"]) if found else NameParts(stem, "", "")
 
 
 def write_results(path: Path, results: Results) -> None:
