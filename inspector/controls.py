@@ -28,11 +28,8 @@ class TableControls:
     def build(self) -> None:
         """Add the controls."""
         gui, workspace, selection = self._context.gui, self._context.workspace, self._context.selection()
-        names = workspace.method_names or ("none: ground truth only",)
-        self._method = gui.add_dropdown("Method", names, initial_value=names[0])
-        self._compare = gui.add_dropdown(
-            "Compare with", (_NOTHING, *names), initial_value=_NOTHING, visible=len(names) > 1
-        )
+        self._method = gui.add_dropdown("Method", (_NO_METHOD,))
+        self._compare = gui.add_dropdown("Compare with", (_NOTHING,), visible=False)
         self._criterion = gui.add_dropdown(
             "Correct if", tuple(CRITERIA.values()), initial_value=CRITERIA[selection.criterion]
         )
@@ -46,6 +43,9 @@ class TableControls:
             self._scene = gui.add_dropdown("Scene", (_ANY, *map(str, dataset.scene_ids)), initial_value=_ANY)
             self._visible = gui.add_multi_slider("Visible [%]", 0, 100, 1, (0, 100))
         self._summary = gui.add_html("")
+        self._leaderboard = gui.add_button(
+            "Leaderboard", hint="Scores of all methods (key 3)", icon=viser.Icon.TROPHY, color="gray"
+        )
         self._wire()
 
     def update(self, table: Table | None) -> None:
@@ -58,6 +58,7 @@ class TableControls:
             self._threshold.step = _LARGEST[now.criterion] / 50
         _set(self._threshold, now.threshold)
         if names:
+            self._offer(names)
             _set(self._method, names[now.method])
             _set(self._compare, _NOTHING if now.compare is None else names[now.compare])
         _set(self._status, wanted.status)
@@ -67,9 +68,15 @@ class TableControls:
         text = "comparing estimates with ground truth …" if table is None else table.summary
         self._summary.content = html.block(f"<b>{html.escape(text)}</b>")
 
+    def _offer(self, names: tuple[str, ...]) -> None:
+        """List the methods, of which more may have been opened since."""
+        if self._method.options != names:
+            self._method.options = names
+            self._compare.options = (_NOTHING, *names)
+            self._compare.visible = len(names) > 1
+
     def _wire(self) -> None:
         change = self._context.change
-        names = self._context.workspace.method_names
         kinds = {label: criterion for criterion, label in CRITERIA.items()}
 
         def on(control: Any, apply: Any) -> None:
@@ -79,8 +86,9 @@ class TableControls:
 
             control.on_update(changed)
 
-        on(self._method, lambda value: change(method=names.index(value)) if value in names else None)
-        on(self._compare, lambda value: change(compare=names.index(value) if value in names else None))
+        self._leaderboard.on_click(lambda _: self._context.command("leaderboard"))
+        on(self._method, lambda value: change(method=self._index(value) or 0))
+        on(self._compare, lambda value: change(compare=self._index(value)))
         on(self._criterion, lambda value: change(criterion=kinds[value]))
         on(self._threshold, self._set_threshold)
         on(self._status, lambda value: change(filter={"status": value}))
@@ -88,12 +96,17 @@ class TableControls:
         on(self._scene, lambda value: change(filter={"scene_id": None if value == _ANY else int(value)}))
         on(self._visible, lambda value: change(filter={"visible_min": value[0] / 100, "visible_max": value[1] / 100}))
 
+    def _index(self, name: str) -> int | None:
+        names = self._context.workspace.method_names
+        return names.index(name) if name in names else None
+
     def _set_threshold(self, value: float) -> None:
         changed = self._context.selection().with_threshold(float(value))
         self._context.change(thresholds=changed.thresholds)
 
 
-_NOTHING = "nothing"
+_NOTHING: str = "nothing"
+_NO_METHOD: str = "none: ground truth only"
 assert set(CRITERIA) == set(DEFAULT_THRESHOLDS)
 
 

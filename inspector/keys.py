@@ -22,6 +22,8 @@ class Command:
     """Key in viser's words, without modifiers; W A S D Q E and the arrows move viser's camera and are not used here."""
     shown_key: str | None = None
     """Key as the help shows it where the page handles it itself."""
+    on_board: bool = False
+    """Whether it is of use while the leaderboard covers the picture."""
 
 
 def _toggle(field: str) -> "Callable[[Session], Any]":
@@ -49,6 +51,10 @@ COMMANDS = (
     Command("previous_image", "Previous image", lambda s: s.steering.step_image(-1), None, "←"),
     Command("image_view", "Image view", lambda s: s.change(view="image"), "1"),
     Command("scene_view", "3D scene view", lambda s: s.change(view="scene"), "2"),
+    Command(
+        "leaderboard", "Leaderboard", lambda s: s.change(board={"open": not s.selection.board.open}), "3", None, True
+    ),
+    Command("add_results", "Add results to the leaderboard", lambda s: s.leaderboard.add(), None, None, True),
     Command("fit", "Fit the image into the window", lambda s: s.fit(), "F"),
     Command("zoom_to_object", "Zoom to the object", lambda s: s.zoom_to_object(), "Z"),
     Command("ground_truth", "Show or hide the ground truth", _toggle("ground_truth"), "G"),
@@ -64,9 +70,9 @@ COMMANDS = (
     Command("points", "Show or hide the point cloud (3D)", _toggle("points"), "U"),
     Command("rerun", "Open the recording in Rerun", lambda s: s.rerun.open(), "L"),
     Command("swap", "Swap the inspected and the compared method", _swap, "R"),
-    Command("theme", "Dark or light", lambda s: s.change(dark=not s.selection.dark), "Y"),
+    Command("theme", "Dark or light", lambda s: s.change(dark=not s.selection.dark), "Y", None, True),
     Command("save", "Save a picture of the view (PNG)", lambda s: s.save_picture(), "K"),
-    Command("help", "Keys and commands", lambda s: s.help(), None, "?"),
+    Command("help", "Keys and commands", lambda s: s.help(), None, "?", True),
 )
 
 

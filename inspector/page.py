@@ -19,7 +19,16 @@ from pipeline.exceptions import InputError
 
 log = logging.getLogger(__name__)
 
-HEAD = '<link rel="stylesheet" href="/inspector.css"><script src="/inspector.js"></script>'
+_FILES = {
+    "/inspector.css": "text/css; charset=utf-8",
+    "/leaderboard.css": "text/css; charset=utf-8",
+    "/inspector.js": "text/javascript; charset=utf-8",
+    "/leaderboard.js": "text/javascript; charset=utf-8",
+}
+HEAD = "".join(
+    f'<link rel="stylesheet" href="{path}">' if path.endswith("css") else f'<script src="{path}"></script>'
+    for path in _FILES
+)
 """Goes into the page's head."""
 
 PATIENCE = 6.0
@@ -29,10 +38,7 @@ PATIENCE = 6.0
 def static_files() -> dict[str, tuple[str, bytes]]:
     """Return our files for the page: content type and content by path."""
     web = resources.files("inspector") / "web"
-    return {
-        "/inspector.js": ("text/javascript; charset=utf-8", (web / "inspector.js").read_bytes()),
-        "/inspector.css": ("text/css; charset=utf-8", (web / "inspector.css").read_bytes()),
-    }
+    return {path: (kind, (web / path[1:]).read_bytes()) for path, kind in _FILES.items()}
 
 
 class PageChannel:

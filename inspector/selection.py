@@ -18,6 +18,8 @@ DEFAULT_THRESHOLDS: dict[Criterion, float] = {"mssd": 0.2, "mspd": 20.0, "vsd": 
 """Thresholds of correctness: fractions of the diameter for MSSD and ADD, pixels at 640 px width for MSPD, VSD plain."""
 
 
+Score = Literal["average", "vsd", "mssd", "mspd"]
+Grouping = Literal["object", "scene"]
 NO_EYE = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 """In 3D, look from where the view starts."""
 
@@ -78,9 +80,25 @@ class Filter:
 
 
 @dataclass(frozen=True)
+class Board:
+    """What the leaderboard shows."""
+
+    open: bool = False
+    score: Score = "average"
+    first: int | None = None
+    """Submission whose bars and curves are shown."""
+    second: int | None = None
+    """Submission beside it."""
+    by: Grouping = "object"
+    """What the bars stand for."""
+
+
+@dataclass(frozen=True)
 class Selection:
     """The state of one browser."""
 
+    dataset: str = ""
+    """Name and split (`lmo/test`) of the dataset looked at; empty for the one that the server was started with."""
     row: RowKey | None = None
     method: int = 0
     """Index of the results file whose estimates are inspected."""
@@ -107,6 +125,7 @@ class Selection:
     dark: bool = True
     filter: Filter = field(default_factory=Filter)
     display: Display = field(default_factory=Display)
+    board: Board = field(default_factory=Board)
 
     @property
     def threshold(self) -> float:
@@ -114,9 +133,15 @@ class Selection:
         return self.thresholds[list(DEFAULT_THRESHOLDS).index(self.criterion)]
 
     def same_picture(self, other: "Selection") -> bool:
-        """Whether two selections differ at most in zoom and point of view, in a way that needs no other outlines."""
+        """Whether two selections differ at most in zoom, point of view and leaderboard, and need the same outlines."""
         here = replace(
-            self, zoom=other.zoom, center_u=other.center_u, center_v=other.center_v, eye=other.eye, follow=other.follow
+            self,
+            zoom=other.zoom,
+            center_u=other.center_u,
+            center_v=other.center_v,
+            eye=other.eye,
+            follow=other.follow,
+            board=other.board,
         )
         return here == other and self.close_up == other.close_up
 
@@ -145,7 +170,7 @@ def to_query(selection: Selection, default: Selection | None = None) -> str:
     for name, value, usual in _leaves(selection, default or Selection()):
         if value != usual:
             pairs.append((name, "none" if value is None else _to_text(value)))
-    return urlencode(pairs, safe=",")
+    return urlencode(pairs, safe=",/")
 
 
 def from_query(query: str, default: Selection | None = None) -> Selection:
@@ -156,6 +181,7 @@ def from_query(query: str, default: Selection | None = None) -> Selection:
         _read(default, values, prefix=""),
         filter=_read(default.filter, values, prefix="filter."),
         display=_read(default.display, values, prefix="display."),
+        board=_read(default.board, values, prefix="board."),
     )
 
 
@@ -163,7 +189,7 @@ def _leaves(selection: Selection, default: Selection) -> list[tuple[str, object,
     found = []
     for item in fields(selection):
         value, usual = getattr(selection, item.name), getattr(default, item.name)
-        if isinstance(value, Filter | Display):
+        if isinstance(value, _Part):
             found += [
                 (f"{item.name}.{part.name}", getattr(value, part.name), getattr(usual, part.name))
                 for part in fields(value)
@@ -181,14 +207,17 @@ def _to_text(value: object) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
+_Part = Filter | Display | Board
 _CHOICES: dict[str, tuple[str, ...]] = {
     "criterion": tuple(DEFAULT_THRESHOLDS),
     "view": View.__args__,
     "filter.status": Status.__args__,
     "display.style": Style.__args__,
     "display.depth": DepthLayer.__args__,
+    "board.score": Score.__args__,
+    "board.by": Grouping.__args__,
 }
-_OPTIONAL_INTS = {"compare", "filter.obj_id", "filter.scene_id"}
+_OPTIONAL_INTS = {"compare", "filter.obj_id", "filter.scene_id", "board.first", "board.second"}
 _RANGES = {"zoom": (0.2, 200.0), "display.opacity": (0.0, 1.0), "center_u": (-1.0, 2.0), "center_v": (-1.0, 2.0)}
 
 
@@ -196,7 +225,7 @@ def _read(default, values: dict[str, str], prefix: str):
     changes = {}
     for item in fields(default):
         text = values.get(prefix + item.name)
-        if text is None or isinstance(getattr(default, item.name), Filter | Display):
+        if text is None or isinstance(getattr(default, item.name), _Part):
             continue
         try:
             changes[item.name] = _from_text(prefix + item.name, text, getattr(default, item.name))

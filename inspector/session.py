@@ -4,6 +4,7 @@ import asyncio
 import logging
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -17,6 +18,8 @@ from inspector.controls import TableControls
 from inspector.drawing import draw
 from inspector.frame import ROLES, Frame, frame_of
 from inspector.keys import COMMANDS, help_html
+from inspector.leaderboard.page import LeaderboardPage
+from inspector.leaderboard.service import LeaderboardService
 from inspector.legend import legend, warning
 from inspector.navigation import Navigation
 from inspector.page import PageChannel
@@ -29,6 +32,7 @@ from inspector.table import COLUMNS, Table, make_table
 from inspector.views import Context
 from inspector.worker import LatestWins
 from inspector.workspace import Workspace
+from inspector.workspaces import Workspaces
 from pipeline.exceptions import InputError
 
 log = logging.getLogger(__name__)
@@ -42,11 +46,35 @@ class Session:
     """Everything about one connected browser; its methods may be called from any thread."""
 
     def __init__(
-        self, client: viser.ClientHandle, workspace: Workspace, loop: asyncio.AbstractEventLoop, first: Selection
+        self,
+        client: viser.ClientHandle,
+        workspace: Workspace,
+        loop: asyncio.AbstractEventLoop,
+        workspaces: Workspaces,
+        leaderboard: LeaderboardService,
+        go_to_dataset: Callable[[Selection], None],
+        begin: Selection | None = None,
     ) -> None:
+        """Serve a browser.
+
+        Args:
+            client: The browser.
+            workspace: What it looks at.
+            loop: The server's event loop.
+            workspaces: All datasets that are open.
+            leaderboard: What all browsers share of the leaderboard.
+            go_to_dataset: Ends this session and begins one for another dataset.
+            begin: What to look at first; None for what the page's address says.
+
+        """
         self.client = client
         self.workspace = workspace
-        self.selection = first
+        self.workspaces = workspaces
+        several = 1 if len(workspace.methods) > 1 else None
+        self._first = Selection(delta_mm=workspace.delta * 1000, compare=several)
+        self._go_to_dataset = go_to_dataset
+        self._begin = begin
+        self.selection = self._first if begin is None else begin
         self.frame: Frame | None = None
         """What is shown now."""
         self.table: Table | None = None
@@ -54,17 +82,18 @@ class Session:
         self.navigation = Navigation(client)
         self.rerun = RerunPanel(client, workspace)
         self.steering = Steering(self)
-        self.channel = PageChannel(loop, self.steering.methods())
-        self._first = first
+        self.leaderboard = LeaderboardPage(self, leaderboard)
+        self.channel = PageChannel(loop, self.steering.methods() | self.leaderboard.methods())
         self._lock = threading.RLock()
         self._canvas = Canvas(client, self.steering.look_at_image)
         self._worker = LatestWins(f"browser {client.client_id}", self._failed)
         self._table_made_from: object = None
-        self._chosen = False
+        self._chosen = begin is not None and begin.row is not None
         self._seen_from: object = None
         context = Context(client, workspace, lambda: self.selection, self.change, self.command)
         self._controls = TableControls(context)
         self._views = [view(context) for view in VIEWS]
+        self._closed = False
         self._build()
         self._stop_listening = workspace.listen(self.refresh)
         self._blinker = Blinker(self._canvas, lambda: self.selection.display.blink)
@@ -72,20 +101,28 @@ class Session:
 
     def close(self) -> None:
         """End all work for this browser."""
+        self._closed = True
         self._stop_listening()
+        self.leaderboard.close()
         self._blinker.stop()
         self._worker.stop()
 
     # ------------------------------------------------------------------ the selection
     def change(
-        self, display: dict[str, Any] | None = None, filter: dict[str, Any] | None = None, **fields: Any
+        self,
+        display: dict[str, Any] | None = None,
+        filter: dict[str, Any] | None = None,
+        board: dict[str, Any] | None = None,
+        **fields: Any,
     ) -> None:
-        """Change fields of the selection, of its display or of its filter, and show the result."""
+        """Change fields of the selection, of its display, filter or leaderboard, and show the result."""
         with self._lock:
             if display:
                 fields["display"] = replace(self.selection.display, **display)
             if filter:
                 fields["filter"] = replace(self.selection.filter, **filter)
+            if board:
+                fields["board"] = replace(self.selection.board, **board)
             self._chosen |= "row" in fields
             fields = self._of_another_row(fields.get("row")) | fields
             self.update(replace(self.selection, **fields))
@@ -109,22 +146,42 @@ class Session:
             self._theme()
         if selection.same_picture(old):
             self.aim()
-            self._publish()
+            self.publish()
         else:
             self.refresh()
+
+    def begin_anew(self, selection: Selection) -> None:
+        """Look at other rows, beginning with the first of the table."""
+        with self._lock:
+            self._chosen = False
+            self.update(selection)
 
     def hello(self, query: str, width: float) -> None:
         """Begin: fit the panels to the width of the page (CSS pixels), and open its address."""
         self._left.set_width(float(np.clip(0.31 * width, 440, LEFT_WIDTH)))
         self._right.set_width(float(np.clip(0.27 * width, 345, RIGHT_WIDTH)))
-        self.open_address(query)
+        if self._begin is None:
+            self.open_address(query)
+        self._begin = None
 
     def open_address(self, query: str) -> None:
         """Look at what an address names; what it leaves open is as at the start, but a row stays."""
-        asked = self.workspace.within(from_query(str(query), self._first))
+        asked = from_query(str(query), self._first)
+        if asked.dataset != self.selection.dataset:
+            self.go_to_dataset(asked)
+            return
+        asked = self.workspace.within(asked)
         self._chosen |= asked.row is not None
         self.update(replace(asked, row=asked.row or self.selection.row))
         self.refresh()
+
+    def go_to_dataset(self, selection: Selection) -> None:
+        """Look at another dataset, which ends this session; a notification says why if it cannot be opened."""
+        try:
+            self._go_to_dataset(selection)
+        except InputError as error:
+            self.notify("The dataset cannot be opened", error)
+            self.refresh()
 
     def refresh(self) -> None:
         """Bring everything up to date with the selection and the data."""
@@ -135,10 +192,14 @@ class Session:
         """Run a command of the table in `keys`, as its key or the palette does."""
         found = next((command for command in COMMANDS if command.name == name), None)
         try:
-            if found is not None:
+            if found is not None and (not self.selection.board.open or found.on_board):
                 found.run(self)
         except InputError as error:
-            self.client.add_notification("This cannot be done", str(error), color="orange")
+            self.notify("This cannot be done", error)
+
+    def notify(self, title: str, error: InputError) -> None:
+        """Tell a person that something cannot be done, and why."""
+        self.client.add_notification(title, str(error), color="orange")
 
     def fit(self) -> None:
         """Show the whole image."""
@@ -196,6 +257,8 @@ class Session:
             self.navigation.show_scene(np.array([0, 0, 1.0]) if pose is None else pose[:3, 3], selection.eye)
 
     def _camera_moved(self) -> None:
+        if self._closed:
+            return
         eye = self.navigation.eye()
         if eye is None:
             self.navigation.hold()
@@ -216,9 +279,9 @@ class Session:
             if elsewhere and selection.follow:
                 self._follow()
         lines = self._draw(self.frame, selection) + self._problems()
-        self._publish(legend=lines)
+        self.publish(legend=lines)
         unseen = self._update_views(self.frame, selection)
-        self._publish(legend=lines + [warning(text) for text in unseen if warning(text) not in lines], busy=False)
+        self.publish(legend=lines + [warning(text) for text in unseen if warning(text) not in lines], busy=False)
         log.debug("shown in %.0f ms", (time.perf_counter() - begun) * 1000)
 
     def _problems(self) -> list[dict[str, Any]]:
@@ -271,10 +334,10 @@ class Session:
                 self.selection = replace(self.selection, row=self.table.key(0))
 
     def _failed(self, error: Exception) -> None:
-        self._publish(legend=[warning(f"this could not be shown: {error}")], busy=False)
+        self.publish(legend=[warning(f"this could not be shown: {error}")], busy=False)
 
-    def _publish(self, **more: Any) -> None:
-        """Tell the page what it needs to know."""
+    def publish(self, **more: Any) -> None:
+        """Tell the page what it needs to know; callable from any thread."""
         table, selection, row = self.table, self.selection, self.selection.row
         name = self.workspace.dataset.name
         self.channel.publish(
@@ -287,6 +350,7 @@ class Session:
             rows=0 if table is None else len(table),
             rows_version=hash(self._table_made_from),
             selected=-1 if table is None else table.position(row),
+            board=self.leaderboard.state(),
             progress=[{"text": text, "share": share} for text, share in list(self.workspace.jobs.items())],
             **more,
         )

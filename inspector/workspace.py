@@ -110,6 +110,21 @@ class Workspace:
         here = replace(wanted, obj_id=obj_id, scene_id=scene_id)
         return replace(selection, method=method, compare=compare, filter=here)
 
+    def add_method(self, method: Method) -> int:
+        """Inspect one more results file, assessed in the background; returns its index, the old one if it is open."""
+        with self._lock:
+            paths = [known.path for known in self.methods]
+            if method.path in paths:
+                return paths.index(method.path)
+            index = len(self.methods)
+            self.methods = (*self.methods, method)
+            if index == len(self._assessments):  # else the ground truth alone stands in the place of the first method
+                self._assessments.append(None)
+                self._generations.append(0)
+        threading.Thread(target=self._assess_methods, args=([index],), name="assessment", daemon=True).start()
+        self.changed()
+        return index
+
     def estimate_of(self, method: int, row: RowKey) -> PoseEstimate | None:
         """Return the estimate of a method that is held against a row of the table."""
         if method >= len(self.methods):
@@ -245,8 +260,9 @@ class Workspace:
             self._publish(index, assessment)
 
     def _publish(self, index: int, assessment: Assessment) -> None:
-        self._assessments[index] = assessment
-        self.version += 1
+        with self._lock:
+            self._assessments[index] = assessment
+            self.version += 1
         self.changed()
 
     def _report(self, problems: tuple[str, ...]) -> None:

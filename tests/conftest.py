@@ -1,11 +1,21 @@
 """What all tests share: the real data (skipped with a reason where it is absent), and shape checks on."""
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 REPOSITORY = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(scope="session", autouse=True)
+def own_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Tests, and the programs that they start, keep their leaderboards in a folder that goes away."""
+    folder = tmp_path_factory.mktemp("inspector_data")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("INSPECTOR_DATA", str(folder))
+        yield folder
 
 
 @pytest.fixture(scope="session")

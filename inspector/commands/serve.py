@@ -26,6 +26,8 @@ class ServeConfig:
     """BOP results file (CSV); repeat to compare methods."""
     split: str | None = None
     """Folder of the split, such as test_primesense; by default the official test split."""
+    leaderboard: Path | None = None
+    """Folder that keeps the leaderboard; by default one of your own."""
     host: str = "127.0.0.1"
     """Address to listen on; anything but this machine needs a token, which is made and printed."""
     port: int = 8080
@@ -44,7 +46,8 @@ def run(config: ServeConfig, console: Console | None = None) -> int:
     dataset, results = config.dataset, config.results
     if dataset is None:
         dataset, results = _demo(results)
-    app = App(open_workspace(dataset, results, config.split), config.host, config.port)
+    workspace = open_workspace(dataset, results, config.split)
+    app = App(workspace, config.host, config.port, config.leaderboard)
     signal.signal(signal.SIGTERM, lambda *_: signal.raise_signal(signal.SIGINT))
     try:
         seconds = time.perf_counter() - begun

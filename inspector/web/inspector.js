@@ -10,6 +10,7 @@
   let key = null; // names this browser's session; the server puts it into the page
   const NOTHING = { version: 0, view: "image", columns: [], rows: 0, selected: -1, legend: [], progress: [] };
   let state = NOTHING;
+  const followers = []; // told of every new state
 
   // ---------------------------------------------------------------- the channel to the server
   async function call(method, ...args) {
@@ -59,6 +60,7 @@
     if (next.title) document.title = next.title;
     table.update(before);
     overlay.update();
+    for (const follow of followers) follow(state);
   }
 
   // ---------------------------------------------------------------- the address bar names what is seen
@@ -294,7 +296,7 @@
       const typing = target instanceof HTMLElement
         && (["INPUT", "TEXTAREA", "SELECT"].includes(target.tagName) || target.isContentEditable
           || target.getAttribute("role") === "slider" || target.getAttribute("role") === "tab");
-      if (typing || event.ctrlKey || event.metaKey || event.altKey) return;
+      if (typing || event.ctrlKey || event.metaKey || event.altKey || state.board?.open) return;
       if (event.key === "?") {
         keepFromViser(event);
         call("command", "help");
@@ -327,6 +329,8 @@
       if (notice.textContent.includes("Software WebGL")) notice.querySelector("button")?.click();
     }
   }
+
+  window.poseInspector = { call, element, onState: (follow) => followers.push(follow) };
 
   document.addEventListener("DOMContentLoaded", () => {
     overlay.build();

@@ -8,11 +8,14 @@ from hypothesis import strategies as st
 
 from inspector.selection import (
     DEFAULT_THRESHOLDS,
+    Board,
     Criterion,
     DepthLayer,
     Display,
     Filter,
+    Grouping,
     RowKey,
+    Score,
     Selection,
     Status,
     Style,
@@ -47,7 +50,16 @@ DISPLAYS = st.builds(
     recorded=st.text(max_size=20),
     **{item.name: st.booleans() for item in fields(Display) if item.type is bool},
 )
+BOARDS = st.builds(
+    Board,
+    open=st.booleans(),
+    score=st.sampled_from(get_args(Score)),
+    first=st.none() | IDS,
+    second=st.none() | IDS,
+    by=st.sampled_from(get_args(Grouping)),
+)
 FIELDS: dict[str, st.SearchStrategy] = {
+    "dataset": st.text(max_size=20),
     "row": st.none() | ROWS,
     "method": st.integers(0, 9),
     "compare": st.none() | st.integers(0, 9),
@@ -66,6 +78,7 @@ FIELDS: dict[str, st.SearchStrategy] = {
     "dark": st.booleans(),
     "filter": FILTERS,
     "display": DISPLAYS,
+    "board": BOARDS,
 }
 SELECTIONS = st.builds(Selection, **FIELDS)
 WITH_OTHER_DEFAULTS = Selection(delta_mm=5.0, compare=1)
@@ -73,7 +86,8 @@ WITH_OTHER_DEFAULTS = Selection(delta_mm=5.0, compare=1)
 
 
 def names() -> list[str]:
-    nested = [f"filter.{item.name}" for item in fields(Filter)] + [f"display.{item.name}" for item in fields(Display)]
+    parts = {"filter": Filter, "display": Display, "board": Board}
+    nested = [f"{name}.{item.name}" for name, part in parts.items() for item in fields(part)]
     return [item.name for item in fields(Selection)] + nested
 
 

@@ -1,0 +1,115 @@
+"""Bars and curves of one or two evaluations, as the page draws them."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from inspector.selection import Board, Grouping, Score
+from pipeline.bop.evaluate import Evaluation
+from pipeline.bop.scores import MSPD_THETAS_PX, THETAS, FoundInstances, Scores, average_recalls, recalls
+from pipeline.bop.vsd import TAUS
+
+
+class Entry(NamedTuple):
+    """An evaluation with its place on the page."""
+
+    place: str
+    """`first` or `second`."""
+    submission_id: int
+    evaluation: Evaluation
+
+
+def figures(entries: Sequence[Entry], board: Board) -> dict[str, Any]:
+    """Bars per object or scene, recall over the thresholds of each error, and recall over the visible fraction."""
+    methods = [
+        {
+            "place": entry.place,
+            "submission": entry.submission_id,
+            "name": entry.evaluation.method,
+            "instances": len(entry.evaluation.instances),
+        }
+        for entry in entries
+    ]
+    evaluations = [entry.evaluation for entry in entries]
+    return {"methods": methods, "groups": _groups(evaluations, board), "curves": _curves(evaluations, board.score)}
+
+
+def _groups(evaluations: Sequence[Evaluation], board: Board) -> list[dict[str, Any]]:
+    tables = [_scores_by(evaluation, board.by) for evaluation in evaluations]
+    found = []
+    for number in sorted({number for table in tables for number in table}):
+        counts = [np.count_nonzero(_ids(evaluation, board.by) == number) for evaluation in evaluations]
+        found.append(
+            {
+                "label": f"{board.by} {number}",
+                "count": int(max(counts)),
+                "values": [_value(table.get(number), board.score) for table in tables],
+                "filter": {"obj_id" if board.by == "object" else "scene_id": number},
+            }
+        )
+    return found
+
+
+def _scores_by(evaluation: Evaluation, by: Grouping) -> dict[int, Scores]:
+    return evaluation.per_object if by == "object" else evaluation.per_scene
+
+
+def _ids(evaluation: Evaluation, by: Grouping) -> Int[np.ndarray, "n"]:
+    return evaluation.instances.obj_id if by == "object" else evaluation.instances.scene_id
+
+
+def _value(scores: Scores | None, score: Score) -> float | None:
+    return None if scores is None else getattr(scores, score)
+
+
+def _curves(evaluations: Sequence[Evaluation], score: Score) -> list[dict[str, Any]]:
+    instances = [evaluation.instances for evaluation in evaluations]
+    found = [
+        _curve("MSSD", "recall [%]", THETAS, _DIAMETERS, [recalls(table.mssd) for table in instances]),
+        _curve("MSPD", "recall [%]", MSPD_THETAS_PX, _PIXELS, [recalls(table.mspd) for table in instances]),
+    ]
+    grids = [recalls(table.vsd) for table in instances if table.vsd is not None]
+    if len(grids) == len(instances) > 0:
+        found += [
+            _curve("VSD", "recall [%], mean over tau", THETAS, _THETA, [grid.mean(axis=0) for grid in grids]),
+            _curve("VSD", "recall [%], mean over theta", TAUS, _TAU, [grid.mean(axis=1) for grid in grids]),
+        ]
+    over_visible = [_over_visible_fraction(table, score) for table in instances]
+    if any(np.isfinite(line).any() for line in over_visible):
+        title = {"average": "AR", "vsd": "AR_VSD", "mssd": "AR_MSSD", "mspd": "AR_MSPD"}[score]
+        found.append(_curve(f"{title} over visible fraction", "[%], in tenths", _TENTHS, _VISIBLE, over_visible))
+    return found
+
+
+def _over_visible_fraction(instances: FoundInstances, score: Score) -> Float[np.ndarray, "10"]:
+    """Average recall of the instances of each tenth of the visible fraction, NaN where there are none."""
+    tenth = np.clip(np.nan_to_num(instances.visible_fraction, nan=-1) * 10, -1, 9).astype(int)
+    line = np.full(10, np.nan)
+    for i in np.unique(tenth[tenth >= 0]):
+        value = _value(average_recalls(instances, tenth == i), score)
+        line[i] = np.nan if value is None else value
+    return line
+
+
+def _curve(
+    title: str, remark: str, x: Sequence[float] | np.ndarray, axis: dict[str, Any], lines: Sequence[np.ndarray]
+) -> dict[str, Any]:
+    """A chart of one line per method; None in `y` is a gap."""
+    drawn = [{"method": i, "y": [None if np.isnan(y) else float(y) for y in line]} for i, line in enumerate(lines)]
+    return {
+        "title": title,
+        "remark": remark,
+        "x": [round(float(value), 6) for value in x],
+        "axis": axis,
+        "lines": drawn,
+    }
+
+
+_TENTHS = np.arange(0.05, 1.0, 0.1)
+_DIAMETERS = {"label": "threshold, share of the diameter", "ticks": [0.1, 0.2, 0.3, 0.4, 0.5], "from": 0, "to": 0.5}
+_PIXELS = {"label": "threshold, px at 640 px width", "ticks": [10, 20, 30, 40, 50], "from": 0, "to": 50}
+_THETA = {"label": "threshold theta", "ticks": [0.1, 0.2, 0.3, 0.4, 0.5], "from": 0, "to": 0.5}
+_TAU = {"label": "tolerance tau, share of the diameter", "ticks": [0.1, 0.2, 0.3, 0.4, 0.5], "from": 0, "to": 0.5}
+_VISIBLE = {"label": "visible fraction", "ticks": [0, 0.2, 0.4, 0.6, 0.8, 1], "from": 0, "to": 1}
