@@ -16,6 +16,8 @@ from inspector.commands.download import DownloadConfig
 from inspector.commands.download import run as run_download
 from inspector.commands.evaluate import EvaluateConfig
 from inspector.commands.evaluate import run as run_evaluate
+from inspector.commands.gt_info import GtInfoConfig
+from inspector.commands.gt_info import run as run_gt_info
 from inspector.commands.record import RecordConfig
 from inspector.commands.record import run as run_record
 from inspector.commands.serve import ServeConfig
@@ -31,6 +33,7 @@ def main() -> None:
         "check": (CheckConfig, run_check),
         "record": (RecordConfig, run_record),
         "doctor": (DoctorConfig, run_doctor),
+        "gt-info": (GtInfoConfig, run_gt_info),
         "download": (DownloadConfig, run_download),
     }
     level = logging.getLevelNamesMapping().get(os.environ.get("INSPECTOR_LOG", "").upper(), logging.WARNING)

@@ -23,6 +23,7 @@ HOMES = {
 """The only places that may import these at all."""
 
 OWNERS = {
+    "distributed": (),
     "mitsuba": ("pipeline/synth/",),
     "mujoco": ("pipeline/synth/",),
     "open3d": (),
@@ -38,6 +39,8 @@ ENTRANCES = [
     "inspector.__main__",
     "inspector.app",
     "inspector.commands.doctor",
+    "inspector.commands.evaluate",
+    "inspector.commands.gt_info",
     "inspector.commands.serve",
     "pipeline.bop.assessment",
     "pipeline.bop.dataset",

@@ -2,6 +2,7 @@
 
 from collections import defaultdict
 from collections.abc import Callable, Iterator
+from shlex import quote
 
 import numpy as np
 from jaxtyping import Float
@@ -196,7 +197,7 @@ def check_gt_info(survey: Survey) -> Iterator[Finding]:
     """Whether scene_gt_info.json is there and agrees with the silhouettes of the rendered ground truth."""
     scenes = [scene for scene in survey.scenes if scene.ground_truth]
     absent = [scene.scene_id for scene in scenes if not scene.layout.json("scene_gt_info").is_file()]
-    fix = "compute it with bop_toolkit's scripts/calc_gt_info.py"
+    fix = f"make it: inspector gt-info {quote(str(survey.root))} --split {survey.split} --only info"
     if absent:
         evidence = f"visible fractions are unknown in {len(absent)} of {count_of(len(scenes), 'scene')}"
         yield Finding("note", "No scene_gt_info.json", scenes_named(absent), evidence, fix)
@@ -214,7 +215,7 @@ def check_gt_info(survey: Survey) -> Iterator[Finding]:
             "scene_gt_info.json disagrees with the poses",
             survey.split,
             evidence,
-            fix + ", after every change of poses",
+            f"{fix} --force, after every change of poses",
         )
     elif compared:
         yield ok("scene_gt_info.json", f"silhouettes of {compared} annotations agree with the rendered ones")

@@ -2,6 +2,7 @@
 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
+from shlex import quote
 
 from pipeline.bop import layout
 from pipeline.bop.doctor.findings import Finding, count_of, ok, some
@@ -78,14 +79,14 @@ def check_masks(survey: Survey) -> Iterator[Finding]:
                 examples += [
                     f"scene {scene.scene_id} {folder}/{im_id:06d}_{i:06d}.png" for i in absent[: 4 - len(examples)]
                 ]
-    fix = "compute them with bop_toolkit's scripts/calc_gt_masks.py"
+    fix = f"make them: inspector gt-info {quote(str(survey.root))} --split {survey.split} --only masks"
     if wanted and missing == wanted:
         yield Finding(
             "note", "No masks", survey.split, f"none of {wanted} masks is here; only visibility views need them", fix
         )
     elif missing:
         evidence = f"{missing} of {wanted} masks have no file: {some(examples, 3)}"
-        yield Finding("warning", "Missing masks", survey.split, evidence, fix)
+        yield Finding("warning", "Missing masks", survey.split, evidence, f"{fix} --force")
     elif wanted:
         yield ok("Masks", f"{wanted} masks are here")
 

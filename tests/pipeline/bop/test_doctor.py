@@ -414,8 +414,8 @@ PLANTED = [
     (repeated_annotation, "duplicates", "warning", "Duplicate annotations", "scene 2 image 3 object 1", "remove the repeated"),
     (target_in_absent_image, "targets", "warning", "Targets in absent images", "scene 2 image 1000", "remove these targets"),
     (target_of_absent_object, "targets", "warning", "Targets without annotation", "object 7 (0 of 1)", "correct obj_id"),
-    (mask_missing, "masks", "warning", "Missing masks", "1 of 16 masks", "calc_gt_masks"),
-    (info_of_other_poses, "gt-info", "warning", "scene_gt_info.json disagrees", "8 of 8 annotations", "calc_gt_info"),
+    (mask_missing, "masks", "warning", "Missing masks", "1 of 16 masks", "inspector gt-info"),
+    (info_of_other_poses, "gt-info", "warning", "scene_gt_info.json disagrees", "8 of 8 annotations", "inspector gt-info"),
     (poses_15_mm_off, "poses-depth", "warning", "Ground truth away from the depth", "object 1 15.", "align"),
 ]  # fmt: skip
 
