@@ -38,14 +38,17 @@ def main() -> None:
     }
     level = logging.getLevelNamesMapping().get(os.environ.get("INSPECTOR_LOG", "").upper(), logging.WARNING)
     logging.basicConfig(level=level, format="%(name)s: %(message)s")
-    config = tyro.extras.subcommand_cli_from_dict(
-        {name: kind for name, (kind, _) in commands.items()},
-        prog="inspector",
-        description="See where 6D object poses go wrong, and which stage lost them.",
-    )
-    run = {kind: run for kind, run in commands.values()}[type(config)]
     try:
+        config = tyro.extras.subcommand_cli_from_dict(
+            {name: kind for name, (kind, _) in commands.items()},
+            prog="inspector",
+            description="See where 6D object poses go wrong, and which stage lost them.",
+        )
+        run = {kind: run for kind, run in commands.values()}[type(config)]
         sys.exit(run(config))
+    except BrokenPipeError:  # what reads our output, such as head, has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(141)
     except InputError as error:
         Console(stderr=True, highlight=False).print(f"[bold red]error:[/bold red] {escape(str(error))}", soft_wrap=True)
         sys.exit(2)

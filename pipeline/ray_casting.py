@@ -1,5 +1,6 @@
 """Casting the rays of boxes of pixels at a model with Open3D's Embree."""
 
+from math import ceil, floor
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -54,16 +55,27 @@ def visible_box(model: Model, camera: Camera, pose: Float[np.ndarray, "4 4"], pi
     """The pixels that can see the object: bounds of the projected convex hull."""
     if not np.isfinite(pose).all() or abs(np.linalg.det(pose[:3, :3])) < 1e-12 or not len(model.faces):
         return Box(0, 0, 0, 0)
-    hull_in_camera = transform_points(pose, model.vertices[convex_hull(model)])
+    hull_in_camera = transform_points(pose, _hull_points(model))
     if hull_in_camera[:, 2].max() <= NEAR:
         return Box(0, 0, 0, 0)
-    size = np.array([camera.width, camera.height])
     if hull_in_camera[:, 2].min() <= NEAR:  # projections of such points say nothing about where the object is seen
         return Box(0, 0, camera.width, camera.height)
-    pixels = project(camera.K, hull_in_camera) - pixel_center
-    x0, y0 = np.clip(np.floor(pixels.min(axis=0)), 0, size).astype(int).tolist()
-    x1, y1 = np.clip(np.ceil(pixels.max(axis=0)) + 1, 0, size).astype(int).tolist()
+    pixels = project(camera.K, hull_in_camera)
+    # Columns one by one: numpy is slow on a reduction of many short rows.
+    x0, x1 = _limits(pixels[:, 0], pixel_center, camera.width)
+    y0, y1 = _limits(pixels[:, 1], pixel_center, camera.height)
     return Box(x0, y0, x1, y1) if x0 < x1 and y0 < y1 else Box(0, 0, 0, 0)
+
+
+def _limits(pixels: Float[np.ndarray, "n"], pixel_center: float, size: int) -> tuple[int, int]:
+    """First and one after last of the columns (or rows) that these coordinates lie in, inside the image."""
+    first, last = float(pixels.min()) - pixel_center, float(pixels.max()) - pixel_center
+    return floor(min(max(first, 0), size)), ceil(min(max(last, -1), size - 1)) + 1
+
+
+@per_model
+def _hull_points(model: Model) -> Float[np.ndarray, "h 3"]:
+    return model.vertices[convex_hull(model)]
 
 
 def cast(

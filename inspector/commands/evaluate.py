@@ -1,92 +1,204 @@
 """`inspector evaluate`: the scores that the BOP Challenge would give."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import orjson
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
-from pipeline.exceptions import InputError
+from pipeline.exceptions import FormatError, InputError
 
 if TYPE_CHECKING:
-    from pipeline.bop.evaluate import Evaluation
-    from pipeline.bop.scores import Scores
+    from pipeline.bop.columns import Execution
+    from pipeline.bop.dataset import Dataset
+    from pipeline.bop.evaluation_files import AnyEvaluation
+    from pipeline.bop.over_datasets import Mean
+    from pipeline.bop.summary import Summary
+    from pipeline.parallel import Workers
 
 
 @dataclass(frozen=True)
 class EvaluateConfig:
-    """Score results files as the BOP Challenge does for 6D localization: average recalls of VSD, MSSD and MSPD."""
+    """Score results files as the BOP Challenge does.
+
+    Tasks: localization (since 2019: average recalls of VSD, MSSD and MSPD), siso (2017: one instance of each object, by
+    VSD), detection (2024: average precision; of a JSON file in COCO's form that of 2D boxes or masks).
+    """
 
     dataset: Positional[Path]
-    """Folder of a BOP dataset."""
+    """Folder of a BOP dataset, or one with several of them: then the files' names tell which each is for."""
     results: Positional[tuple[Path, ...]]
-    """BOP results files (CSV)."""
+    """BOP results files, METHOD_DATASET-SPLIT.csv; for 2D detection .json or .json.gz."""
+    task: Literal["localization", "siso", "detection"] = "localization"
+    """What the method was asked for."""
     split: str | None = None
-    """Folder of the split, such as test_primesense; by default the official test split."""
+    """Folder of the split, such as test_primesense; by default the one named by the file, else the official test split."""
     vsd: bool = True
-    """Compute VSD where there is depth; it takes by far the most time."""
+    """Compute VSD where there is depth (localization); it takes by far the most time."""
+    add: bool = False
+    """Also the recall by ADD, or ADI where views are ambiguous, at 10 % of the diameter (localization)."""
+    measure: Annotated[Literal["bbox", "segm"] | None, arg(name="2d")] = None
+    """Compare boxes or masks (2D detection); by default masks if the file has any."""
+    modal: bool = False
+    """Compare boxes with those of the visible parts instead of the whole objects (2D detection)."""
     json: Path | None = None
-    """File to write the scores to: one object, or a list where there are several results files."""
+    """File to write the scores to: an object for one results file, a list for several; for several datasets an object
+    with that list and the means."""
+    out: Path | None = None
+    """Folder to write scores, curves and a table of instances to, in one of its own for each results file. An
+    interrupted evaluation goes on from what is there."""
+    workers: int | None = None
+    """Processes to compute in; by default one for each core, where it pays."""
+    scheduler: str | None = None
+    """Address of a Dask scheduler, such as tcp://10.0.0.1:8786, whose workers are to compute instead."""
+
+
+@dataclass(frozen=True)
+class _Job:
+    """A results file, what it is evaluated on, and where its files go."""
+
+    file: Path
+    dataset: "Dataset"
+    folder: Path | None
+
+    @property
+    def is_2d(self) -> bool:
+        return self.file.name.endswith((".json", ".json.gz"))
 
 
 def run(config: EvaluateConfig, console: Console | None = None) -> int:
-    """Evaluate all files, print and write the scores, and return 0. InputError is left to the caller."""
-    from pipeline.bop.dataset import open_dataset
-    from pipeline.bop.evaluate import evaluate
-    from pipeline.bop.json_files import write_atomically
-    from pipeline.bop.results import read_results
+    """Evaluate all files, print and write the scores; 0 if all could be scored. InputError is left to the caller.
+
+    Of several files one that cannot be scored is told, and 2 returned; the others are scored all the same.
+    """
+    from inspector.commands.evaluation_report import report
+    from pipeline.bop.evaluation_files import summary_of, write_json
+    from pipeline.bop.over_datasets import means_over_datasets
+    from pipeline.parallel import open_workers
 
     console = console or Console()
+    jobs = _jobs(config)
+    evaluations: list[AnyEvaluation] = []
+    with open_workers(config.workers, config.scheduler) as workers:
+        for job in jobs:
+            try:
+                evaluations.append(_evaluated(config, job, workers, console))
+            except InputError as error:
+                if len(jobs) == 1:
+                    raise
+                console.print(f"[bold red]error:[/bold red] {escape(str(error))}", soft_wrap=True)
+    summaries = [summary_of(evaluation) for evaluation in evaluations]
+    several = len({job.dataset.root for job in jobs}) > 1
+    means = means_over_datasets(summaries) if several else []
+    report(console, summaries, means)
+    if config.json and summaries:
+        write_json(config.json, _content(summaries, means, len(jobs)))
+    return 0 if len(evaluations) == len(jobs) else 2
+
+
+def _content(summaries: "Sequence[Summary]", means: "Sequence[Mean]", files: int) -> Any:
+    """What goes into the JSON file."""
+    found = [summary.as_dict() for summary in summaries]
+    if means:
+        return {"evaluations": found, "over_datasets": [mean.as_dict() for mean in means]}
+    return found[0] if files == 1 else found
+
+
+def _jobs(config: EvaluateConfig) -> list[_Job]:
+    """What is to be done; raises InputError for whatever would come out only after hours of computing."""
+    from pipeline.bop.dataset import open_dataset
+    from pipeline.bop.evaluation_files import check_writable
+    from pipeline.bop.over_datasets import check_once_each
+    from pipeline.bop.results_home import homes, named_split, parts_of
+
     if not config.results:
         raise InputError("no results file; name one or more: inspector evaluate DATASET RESULTS.csv")
-    dataset = open_dataset(config.dataset, config.split)
-    evaluations = []
-    for path in config.results:
-        results = read_results(path)
-        if results.dataset_name and results.dataset_name != dataset.name:
-            note = f"{path}: by its name for {results.dataset_name}, evaluated on {dataset.name}; check both"
-            console.print(f"[yellow]note:[/yellow] {escape(note)}", soft_wrap=True)
-        with _progress(console, path.name) as progress:
-            evaluations.append(evaluate(dataset, results, progress, with_vsd=config.vsd))
-    console.print(_table(f"{dataset.name}/{dataset.split}", evaluations))
-    asked, in_challenge = len(evaluations[0].instances), dataset.facts.test_instances or 0
-    if dataset.split == dataset.facts.test_split and asked < in_challenge:
-        console.print(f"[yellow]note:[/yellow] {asked} of the {in_challenge} instances of the BOP Challenge are here")
-    if evaluations[0].why_no_vsd:
-        console.print(f"no VSD: {escape(evaluations[0].why_no_vsd)}", soft_wrap=True, highlight=False)
-    if config.json:
-        found = [evaluation.as_dict() for evaluation in evaluations]
-        content = found[0] if len(found) == 1 else found
-        write_atomically(config.json, orjson.dumps(content, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE))
-    return 0
+    roots = homes(config.dataset, config.results)
+    if len(set(roots)) > 1:
+        pairs = [(parts_of(file).method, root.name) for file, root in zip(config.results, roots, strict=True)]
+        check_once_each(pairs)
+    datasets: dict[tuple[Path, str | None], Dataset] = {}
+    jobs = []
+    for file, root, folder in zip(config.results, roots, _folders(config), strict=True):
+        split = config.split or named_split(root, file)
+        if (root, split) not in datasets:
+            datasets[root, split] = open_dataset(root, split)
+        jobs.append(_Job(file, datasets[root, split], folder))
+        if jobs[-1].is_2d and config.task != "detection":
+            raise InputError(f"{file}: a JSON file holds 2D detections; add --task detection, or give poses as CSV")
+    for path in (config.json, *(folder / "scores.json" for job in jobs if (folder := job.folder))):
+        if path is not None:
+            check_writable(path)
+    return jobs
 
 
-def _table(title: str, evaluations: "list[Evaluation]") -> Table:
-    table = Table(title=escape(title))
-    table.add_column("method", overflow="fold")
-    for name in ("object", "targets", "AR", "AR_VSD", "AR_MSSD", "AR_MSPD", "seconds"):
-        table.add_column(name, justify="right", no_wrap=True)
-    for evaluation in evaluations:
-        whole = _cells(evaluation.scores)
-        seconds = f"{evaluation.seconds:.2f}"
-        table.add_row(escape(evaluation.method), "all", str(len(evaluation.instances)), *whole, seconds, style="bold")
-        for obj_id, of_object in evaluation.per_object.items():
-            count = int((evaluation.instances.obj_id == obj_id).sum())
-            table.add_row("", str(obj_id), str(count), *_cells(of_object), "")
-        table.add_section()
-    return table
+def _folders(config: EvaluateConfig) -> list[Path | None]:
+    """Folder for the files of each results file. Raises InputError if two would have the same."""
+    if config.out is None:
+        return [None] * len(config.results)
+    folders = [config.out / file.name.removesuffix(".gz").rpartition(".")[0] for file in config.results]
+    for folder in folders:
+        if folders.count(folder) > 1:
+            raise InputError(f"{folder}: two results files have this name; rename one, or evaluate them one by one")
+    return list(folders)
 
 
-def _cells(scores: "Scores") -> list[str]:
-    values = (scores.average, scores.vsd, scores.mssd, scores.mspd)
-    return ["-" if value is None else f"{value:.4f}" for value in values]
+def _evaluated(config: EvaluateConfig, job: _Job, workers: "Workers", console: Console) -> "AnyEvaluation":
+    from pipeline.bop.columns import Execution
+    from pipeline.bop.evaluation_files import write_evaluation
+    from pipeline.bop.journal import forget_pieces
+
+    journal = None if job.folder is None else job.folder / "unfinished"
+    execution = Execution(workers, journal)
+    evaluation = _detections(config, job) if job.is_2d else _poses(config, job, execution, console)
+    if job.folder is not None:
+        write_evaluation(job.folder, evaluation)
+    if journal is not None:
+        forget_pieces(journal)
+    return evaluation
+
+
+def _detections(config: EvaluateConfig, job: _Job) -> "AnyEvaluation":
+    from pipeline.bop.coco_detection import evaluate_detections
+    from pipeline.bop.coco_results import read_detections
+    from pipeline.bop.evaluation_files import with_notes
+
+    detections = read_detections(job.file)
+    evaluation = evaluate_detections(job.dataset, detections, config.measure, modal=config.modal)
+    named, own = detections.dataset_name.lower(), job.dataset.name.lower()
+    notes = [f"{job.file} is for {named} by its name, evaluated on {own}; check both"] if named not in ("", own) else []
+    return with_notes(evaluation, notes)
+
+
+def _poses(config: EvaluateConfig, job: _Job, execution: "Execution", console: Console) -> "AnyEvaluation":
+    from pipeline.bop.evaluate import evaluate
+    from pipeline.bop.evaluation_files import with_notes
+    from pipeline.bop.pose_detection import evaluate_pose_detection
+    from pipeline.bop.siso import evaluate_siso
+    from pipeline.bop.submission import check_submission
+
+    checked = check_submission(job.dataset, job.file, config.task)
+    fatal = next(
+        (found for found in checked.errors if checked.results is None or found.kind == "nothing matches"), None
+    )
+    if checked.results is None or fatal is not None:
+        raise FormatError(f"{job.file}: {fatal.text if fatal else 'cannot be read; get it again'}")
+    results = checked.results
+    with _progress(console, job.file.name) as progress:
+        if config.task == "siso":
+            evaluation = evaluate_siso(job.dataset, results, progress, execution=execution)
+        elif config.task == "detection":
+            evaluation = evaluate_pose_detection(job.dataset, results, progress, execution=execution)
+        else:
+            options = {"with_vsd": config.vsd, "with_ad": config.add}
+            evaluation = evaluate(job.dataset, results, progress, **options, execution=execution)
+    refused = [f"BOP would refuse the file: {found.text}" for found in checked.errors]
+    return with_notes(evaluation, [*refused, *(found.text for found in checked.warnings)])
 
 
 @contextmanager

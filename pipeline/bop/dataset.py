@@ -6,6 +6,7 @@ Several threads may use one Dataset.
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
@@ -65,6 +66,11 @@ class Dataset:
         self.models = ModelFolders(root, facts)
         """Files of the object models."""
         self._memo = Memo()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Sent to another process it is opened anew there, and reads for itself what it is asked for."""
+        folders = {scene_id: folder.absolute() for scene_id, folder in self._scene_folders.items()}
+        return Dataset, (self.root.absolute(), self.split, self.facts, folders, self._sensor)
 
     @property
     def obj_ids(self) -> tuple[int, ...]:

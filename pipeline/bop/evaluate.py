@@ -11,9 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.bop.average_distance import THETA, AdRecalls, ad_recalls
 from pipeline.bop.columns import HERE, Columns, Execution, Progress
 from pipeline.bop.dataset import Dataset
 from pipeline.bop.results import Results
+from pipeline.bop.scorable import check, why_no_depth
 from pipeline.bop.scores import (
     MSPD_THETAS_PX,
     THETAS,
@@ -23,8 +25,8 @@ from pipeline.bop.scores import (
     average_recalls_by,
     found,
 )
+from pipeline.bop.summary import Summary, counts, time_per_image
 from pipeline.bop.target_errors import TargetErrors, errors_of_targets
-from pipeline.exceptions import FormatError, InputError
 from pipeline.scene import Target
 
 _PREFIX = "bop19_average_recall"
@@ -42,6 +44,13 @@ class Evaluation:
     """Why there is no VSD, and so no average recall over all three errors; empty where there is."""
     seconds: float
     """Spent on this evaluation."""
+    split: str = ""
+    time_per_image: float | None = None
+    """Mean seconds that the method took for an image; None where it does not tell."""
+    incomplete: str = ""
+    """What is missing of the instances of the BOP Challenge; empty where all are here."""
+    notes: tuple[str, ...] = ()
+    """What is to be known beside the numbers, one line each."""
 
     @cached_property
     def scores(self) -> Scores:
@@ -58,21 +67,41 @@ class Evaluation:
         """Over the instances of each scene, by scene id."""
         return average_recalls_by(self.instances, self.instances.scene_id)
 
-    def as_dict(self) -> dict[str, Any]:
-        """What goes into a JSON file; `targets` is the number of instances asked for.
+    @cached_property
+    def ad(self) -> AdRecalls | None:
+        """Recalls by the average distance; None where it was not asked for."""
+        found_at = self.instances.ad
+        return None if found_at is None else ad_recalls(found_at, self.instances.obj_id)
 
-        Only where a score is None there is one key more: `reasons`, with the reason by the score's name.
-        """
-        content = {
-            "dataset": self.dataset,
-            "method": self.method,
-            "scores": _named(self.scores),
-            "per_object": {str(obj_id): _named(of_object) for obj_id, of_object in self.per_object.items()},
-            "targets": len(self.instances),
-            "seconds": self.seconds,
-        }
-        missing = [name for name, value in _named(self.scores).items() if value is None]
-        return content | ({"reasons": dict.fromkeys(missing, self.why_no_vsd)} if missing else {})
+    @cached_property
+    def summary(self) -> Summary:
+        """The scores under the names of BOP's scripts; `targets` is the number of instances asked for."""
+        scores = _named(self.scores)
+        missing = [name for name, value in scores.items() if value is None]
+        per_object: dict[int, dict[str, float | None]] = {i: _named(s) for i, s in self.per_object.items()}
+        if self.ad is not None:
+            scores |= {"ad_recall": self.ad.recall, "ad_mean_object_recall": self.ad.mean_over_objects}
+            per_object = {i: named | {"ad_recall": self.ad.per_object[i]} for i, named in per_object.items()}
+        return Summary(
+            dataset=self.dataset,
+            split=self.split,
+            task="localization",
+            method=self.method,
+            scores=scores,
+            per_object=per_object,
+            per_scene={scene_id: _named(of_scene) for scene_id, of_scene in self.per_scene.items()},
+            targets=len(self.instances),
+            targets_per_object=counts(self.instances.obj_id),
+            seconds=self.seconds,
+            time_per_image=self.time_per_image,
+            reasons=dict.fromkeys(missing, self.why_no_vsd),
+            incomplete=self.incomplete,
+            notes=self.notes,
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """What goes into a JSON file (see `Summary`)."""
+        return self.summary.as_dict()
 
 
 def evaluate(
@@ -81,11 +110,13 @@ def evaluate(
     progress: Progress = lambda _: None,
     *,
     with_vsd: bool = True,
+    with_ad: bool = False,
     execution: Execution = HERE,
 ) -> Evaluation:
     """Score results on the targets of a dataset; estimates for anything else do not count, as in BOP.
 
-    VSD, which takes most of the time by far, is computed if all images with targets have depth.
+    VSD, which takes most of the time by far, is computed if all images with targets have depth; ADD and ADI if asked
+    for.
 
     Raises:
         InputError: there are no targets, none has an estimate or one has no usable ground truth; a file is damaged.
@@ -95,47 +126,41 @@ def evaluate(
     targets = tuple(target for target in dataset.targets() if target.inst_count > 0)
     check(dataset, results, targets)
     why_no_vsd = why_no_depth(dataset, targets) if with_vsd else "not asked for"
-    compute = partial(localization_columns, with_vsd=not why_no_vsd)
+    compute = partial(localization_columns, with_vsd=not why_no_vsd, with_ad=with_ad)
     columns = execution.columns(compute, dataset, results, targets, progress)
     instances = FoundInstances(**columns)
-    return Evaluation(dataset.name, results.method, instances, why_no_vsd, time.perf_counter() - begun)
+    return Evaluation(
+        dataset.name,
+        results.method,
+        instances,
+        why_no_vsd,
+        time.perf_counter() - begun,
+        dataset.split,
+        time_per_image(results),
+        _incomplete(dataset, len(instances)),
+    )
 
 
-def localization_columns(dataset: Dataset, results: Results, targets: Sequence[Target], with_vsd: bool) -> Columns:
-    """The fields of `FoundInstances` for some targets, `vsd` only if asked for."""
-    return _found_instances(errors_of_targets(dataset, results, targets, with_vsd))
+def localization_columns(
+    dataset: Dataset, results: Results, targets: Sequence[Target], with_vsd: bool, with_ad: bool = False
+) -> Columns:
+    """The fields of `FoundInstances` for some targets, `vsd` and `ad` only if asked for."""
+    return _found_instances(errors_of_targets(dataset, results, targets, with_vsd, with_ad))
 
 
-def check(dataset: Dataset, results: Results, targets: Sequence[Target]) -> None:
-    """Refuse what cannot be scored: damaged ground truth, no targets, results for something else."""
-    where = f"{dataset.name}/{dataset.split}"
-    for scene_id in dataset.scene_ids:
-        for damage in dataset.scene_ground_truth(scene_id).damage.values():
-            raise FormatError(damage)  # targets made from the ground truth would lack it
-    if not targets:
-        raise InputError(f"{where}: no targets and no ground truth to make them from; evaluate an annotated split")
-    if len(results) and not any(len(results.rows(target.image, target.obj_id)) for target in targets):
-        raise InputError(
-            f"results of {results.method or 'the method'}: none of the {len(results)} estimates is for a target of "
-            f"{where}; give the dataset and split that they are for"
-        )
-
-
-def why_no_depth(dataset: Dataset, targets: Sequence[Target]) -> str:
-    """Name an image with targets and without depth; empty if there is none."""
-    images = dict.fromkeys(target.image for target in targets)
-    without = [key for key in images if dataset.depth_path(key) is None]
-    if not without:
-        return ""
-    first = f"scene {without[0].scene_id}, image {without[0].im_id}"
-    return f"no depth image for {len(without)} of {len(images)} images with targets (first: {first})"
+def _incomplete(dataset: Dataset, asked: int) -> str:
+    """Tell how many instances of the BOP Challenge are missing; empty if none is, or it has none of this dataset."""
+    wanted = dataset.facts.test_instances or 0
+    if dataset.facts.known and dataset.split != dataset.facts.test_split:
+        return f"the BOP Challenge is on the split {dataset.facts.test_split}"
+    return f"{asked} of the {wanted} instances of the BOP Challenge are here" if asked < wanted else ""
 
 
 def _found_instances(targets: Iterable[TargetErrors]) -> Columns:
     """Match the estimates of every target, whose errors may be forgotten then: a byte a threshold is kept."""
     ids: list[tuple[int, int, int, int]] = []
     fractions: list[float] = []
-    mssd, mspd, vsd = [], [], []
+    mssd, mspd, vsd, ad = [], [], [], []
     for errors in targets:
         for gt in errors.instances:
             ids.append((*errors.target[:3], gt.index))
@@ -144,13 +169,16 @@ def _found_instances(targets: Iterable[TargetErrors]) -> Columns:
         mspd.append(found(errors.mspd, MSPD_THETAS_PX))
         if errors.vsd is not None:
             vsd.append(np.stack([found(at_tau, THETAS) for at_tau in errors.vsd], axis=1))
+        if errors.ad is not None:
+            ad.append(found(errors.ad, np.array([THETA]))[:, 0])
     columns = dict(zip(("scene_id", "im_id", "obj_id", "gt_index"), np.array(ids, dtype=np.int64).T, strict=True))
     columns |= {
         "visible_fraction": np.array(fractions, dtype=float),
         "mssd": np.concatenate(mssd),
         "mspd": np.concatenate(mspd),
     }
-    return columns | ({"vsd": np.concatenate(vsd)} if vsd else {})
+    optional = {"vsd": vsd, "ad": ad}
+    return columns | {name: np.concatenate(parts) for name, parts in optional.items() if parts}
 
 
 def _named(values: Scores) -> dict[str, float | None]:

@@ -39,6 +39,22 @@ def match(
     return ground_truth_of
 
 
+def match_at(errors: Float[np.ndarray, "e g"], thresholds: Float[np.ndarray, "t"]) -> Int[np.ndarray, "e t"]:
+    """Match estimates, given by descending score, at many thresholds at once; see `match`."""
+    estimates, instances = errors.shape
+    if instances == 1 == estimates:  # most targets by far
+        return np.where(errors[0] < thresholds, 0, -1)[None]
+    ground_truth_of = np.full((estimates, len(thresholds)), -1)
+    free = np.ones((len(thresholds), instances), bool)
+    for estimate, row in enumerate(errors if instances else ()):
+        candidates = np.where(free & (row < thresholds[:, None]), row, np.inf)
+        best = candidates.argmin(axis=1)
+        matched = np.flatnonzero(np.isfinite(candidates.min(axis=1)))
+        free[matched, best[matched]] = False
+        ground_truth_of[estimate, matched] = best[matched]
+    return ground_truth_of
+
+
 def assign(errors: Float[np.ndarray, "e g"], scores: Float[np.ndarray, "e"] | None = None) -> Int[np.ndarray, "g"]:
     """Give each ground-truth pose the estimate to compare it with: the same matching with no threshold.
 

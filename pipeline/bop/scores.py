@@ -12,6 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from pipeline.bop.matching import match_at
+
 THETAS = np.arange(0.05, 0.51, 0.05)
 """Thresholds of correctness for VSD, and for MSSD as fractions of the diameter.
 
@@ -53,6 +55,8 @@ class FoundInstances:
     """At each of `MSPD_THETAS_PX`."""
     vsd: Bool[np.ndarray, "n tau t"] | None = None
     """At each misalignment tolerance and each of `THETAS`; None where VSD is not known."""
+    ad: Bool[np.ndarray, "n"] | None = None
+    """By the average distance (see `average_distance`); None where it was not asked for."""
 
     def __len__(self) -> int:
         return len(self.obj_id)
@@ -65,27 +69,17 @@ def most_visible(fractions: Sequence[float], count: int) -> list[int]:
 
 
 def found(errors: Float[np.ndarray, "e g"], thresholds: Float[np.ndarray, "t"]) -> Bool[np.ndarray, "g t"]:
-    """Tell which instances are found at each threshold.
-
-    It is the greedy matching of `matching.match` at all thresholds at once.
+    """Tell which instances are found at each threshold: those that `match_at` gives to an estimate.
 
     Args:
         errors: of each estimate, by descending score, against each instance; NaN and infinity never match.
         thresholds: an error must be strictly below.
 
     """
-    estimates, instances = errors.shape
-    if estimates == 1 and instances == 1:  # most targets by far
+    if errors.shape == (1, 1):  # most targets by far
         return errors < thresholds
-    free = np.ones((len(thresholds), instances), bool)
-    if not instances:
-        return free.T
-    for row in errors:
-        candidates = np.where(free & (row < thresholds[:, None]), row, np.inf)
-        best = candidates.argmin(axis=1)
-        matched = np.flatnonzero(np.isfinite(candidates.min(axis=1)))
-        free[matched, best[matched]] = False
-    return ~free.T
+    matched = match_at(errors, thresholds)
+    return (matched == np.arange(errors.shape[1])[:, None, None]).any(axis=1)
 
 
 def recalls(found_at: Bool[np.ndarray, "n *t"]) -> Float[np.ndarray, "*t"]:

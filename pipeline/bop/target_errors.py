@@ -4,27 +4,22 @@ Of a target the `inst_count` estimates of highest score are held against the `in
 instances (thesis sec. bop_6d_object_localization).
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from operator import attrgetter
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.bop import errors
+from pipeline.bop.average_distance import is_symmetric
 from pipeline.bop.dataset import Dataset
+from pipeline.bop.pair_errors import ad_of_pairs, mspd_of_pairs, mssd_of_pairs, vsd_of_pairs
 from pipeline.bop.results import Results
 from pipeline.bop.scores import most_visible
-from pipeline.bop.vsd import TAUS, vsd
 from pipeline.exceptions import FormatError
 from pipeline.geometry import transform
-from pipeline.rendering import render_depths
-from pipeline.scene import Camera, GroundTruth, Model, Target
-
-MSPD_WIDTH_PX = 640
-"""Image width that MSPD is scaled to."""
+from pipeline.scene import Camera, GroundTruth, Target
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,20 +34,22 @@ class TargetErrors:
     """Pixels in an image 640 wide."""
     vsd: Float[np.ndarray, "tau e g"] | None
     """At each of `vsd.TAUS`; 1 where the images of the bounding spheres are apart. None where not computed."""
+    ad: Float[np.ndarray, "e g"] | None = None
+    """ADD, or ADI of an object with ambiguous views, as fractions of the diameter. None where not computed."""
 
 
-class _View(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class _View:
     """What the targets of one image share."""
 
     camera: Camera
     annotations: tuple[GroundTruth, ...]
     depth: Float[np.ndarray, "h w"] | None
     """None where VSD is not to be computed."""
-    vsd_delta: float
 
 
 def errors_of_targets(
-    dataset: Dataset, results: Results, targets: Sequence[Target], with_vsd: bool
+    dataset: Dataset, results: Results, targets: Sequence[Target], with_vsd: bool, with_ad: bool = False
 ) -> Iterator[TargetErrors]:
     """Errors target by target, in the order given; the files of an image are read once if its targets are in a row.
 
@@ -60,72 +57,66 @@ def errors_of_targets(
     """
     for key, of_image in groupby(targets, attrgetter("image")):
         depth = dataset.depth(key) if with_vsd else None
-        view = _View(dataset.camera(key), dataset.ground_truth(key), depth, dataset.facts.vsd_delta)
+        view = _View(dataset.camera(key), dataset.ground_truth(key), depth)
         for target in of_image:
-            instances = _instances(f"{dataset.name}/{dataset.split}", target, view.annotations)
-            rows = results.rows(key, target.obj_id)[: target.inst_count].tolist()
-            estimates = [transform(results.rotation[row], results.translation_mm[row] / 1000.0) for row in rows]
-            yield _errors(target, dataset.model(target.obj_id), view, estimates, instances)
+            yield _errors(dataset, results, target, view, with_ad)
 
 
-def _instances(split: str, target: Target, annotations: Sequence[GroundTruth]) -> tuple[GroundTruth, ...]:
-    of_object = tuple(gt for gt in annotations if gt.obj_id == target.obj_id)
-    where = f"{split}: scene {target.scene_id}, image {target.im_id}"
+def annotations_of_target(dataset: Dataset, target: Target, annotations: Sequence[GroundTruth]) -> list[GroundTruth]:
+    """Annotations of a target's object in its image. Raises FormatError if there is none."""
+    of_object = [gt for gt in annotations if gt.obj_id == target.obj_id]
     if not of_object:
         raise FormatError(
-            f"{where}: no annotation of object {target.obj_id}, which is a target there; "
+            f"{_where(dataset, target)}: no annotation of object {target.obj_id}, which is a target there; "
             "evaluate a split with public ground truth, or take it off the list of targets"
         )
+    return of_object
+
+
+def best_poses(results: Results, target: Target, count: int | None = None) -> list[np.ndarray]:
+    """Poses of the `inst_count` (or `count`) estimates of highest score for a target, by falling score."""
+    rows = results.rows(target.image, target.obj_id)[: target.inst_count if count is None else count]
+    return poses_of_rows(results, rows.tolist())
+
+
+def poses_of_rows(results: Results, rows: Sequence[int]) -> list[np.ndarray]:
+    """Poses `camera_from_model` of rows of a results file, 4x4, metres."""
+    return [transform(results.rotation[row], results.translation_mm[row] / 1000.0) for row in rows]
+
+
+def _errors(dataset: Dataset, results: Results, target: Target, view: _View, with_ad: bool) -> TargetErrors:
+    instances = _instances(dataset, target, view.annotations)
+    model, truths = dataset.model(target.obj_id), [gt.camera_from_model for gt in instances]
+    estimates = best_poses(results, target)
+    vsd = ad = None
+    if view.depth is not None:
+        vsd = vsd_of_pairs(model, view.camera, view.depth, estimates, truths, delta=dataset.facts.vsd_delta)
+    if with_ad:
+        ad = ad_of_pairs(model, is_symmetric(dataset, target.obj_id), estimates, truths) / model.diameter
+    return TargetErrors(
+        target,
+        instances,
+        mssd=mssd_of_pairs(model, estimates, truths) / model.diameter,
+        mspd=mspd_of_pairs(model, view.camera, estimates, truths),
+        vsd=vsd,
+        ad=ad,
+    )
+
+
+def _instances(dataset: Dataset, target: Target, annotations: Sequence[GroundTruth]) -> tuple[GroundTruth, ...]:
+    """The `inst_count` most visible annotations of a target, in the order of the file."""
+    of_object = annotations_of_target(dataset, target, annotations)
     if len(of_object) <= target.inst_count:
-        return of_object
+        return tuple(of_object)
     fractions = [gt.visible_fraction for gt in of_object if gt.visible_fraction is not None]
     if len(fractions) < len(of_object):
         raise FormatError(
-            f"{where}: object {target.obj_id} is annotated {len(of_object)} times and the {target.inst_count} most "
-            "visible ones count, but visibility is unknown; add the scene's scene_gt_info.json"
+            f"{_where(dataset, target)}: object {target.obj_id} is annotated {len(of_object)} times and the "
+            f"{target.inst_count} most visible ones count, but visibility is unknown; "
+            "add the scene's scene_gt_info.json: inspector gt-info --only info"
         )
     return tuple(of_object[i] for i in most_visible(fractions, target.inst_count))
 
 
-def _errors(
-    target: Target, model: Model, view: _View, estimates: list[np.ndarray], instances: tuple[GroundTruth, ...]
-) -> TargetErrors:
-    truths = [gt.camera_from_model for gt in instances]
-    K, scale = view.camera.K, MSPD_WIDTH_PX / view.camera.width
-    return TargetErrors(
-        target,
-        instances,
-        mssd=_table(estimates, truths, lambda estimate, truth: _mssd(model, estimate, truth)),
-        mspd=_table(estimates, truths, lambda estimate, truth: errors.mspd(model, K, estimate, truth).value * scale),
-        vsd=None if view.depth is None else _vsd(model, view, view.depth, estimates, truths),
-    )
-
-
-def _table(
-    estimates: list[np.ndarray], truths: list[np.ndarray], error: Callable[[np.ndarray, np.ndarray], float]
-) -> Float[np.ndarray, "e g"]:
-    """Error of every estimate against every ground-truth pose."""
-    values = [error(estimate, truth) for estimate in estimates for truth in truths]
-    return np.array(values, dtype=float).reshape(len(estimates), len(truths))
-
-
-def _mssd(model: Model, estimate: Float[np.ndarray, "4 4"], truth: Float[np.ndarray, "4 4"]) -> float:
-    if not errors.spheres_overlap(estimate, truth, model.diameter):
-        return np.inf
-    return errors.mssd(model, estimate, truth).value / model.diameter
-
-
-def _vsd(
-    model: Model, view: _View, depth: Float[np.ndarray, "h w"], estimates: list[np.ndarray], truths: list[np.ndarray]
-) -> Float[np.ndarray, "tau e g"]:
-    """VSD of all pairs, from one call of the ray caster."""
-    values = np.ones((len(TAUS), len(estimates), len(truths)))
-    near = _table(estimates, truths, lambda e, g: errors.sphere_projections_overlap(e, g, model.diameter))
-    if not near.any():
-        return values
-    drawn = render_depths(model, view.camera, np.stack([*estimates, *truths]))
-    for e, g in np.argwhere(near).tolist():
-        at_estimate, at_truth = drawn[e], drawn[len(estimates) + g]
-        pair = vsd(at_estimate, at_truth, depth, view.camera.K, model.diameter, delta=view.vsd_delta)
-        values[:, e, g] = pair.values
-    return values
+def _where(dataset: Dataset, target: Target) -> str:
+    return f"{dataset.name}/{dataset.split}: scene {target.scene_id}, image {target.im_id}"

@@ -1,5 +1,4 @@
 import csv
-import io
 import json
 import shutil
 from pathlib import Path
@@ -7,15 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from rich.console import Console
 
-from inspector.commands.evaluate import EvaluateConfig, run
 from pipeline.bop.dataset import open_dataset
 from pipeline.bop.errors import sphere_projections_overlap
 from pipeline.bop.evaluate import Evaluation, evaluate
-from pipeline.bop.results import Results, read_results, write_results
+from pipeline.bop.results import read_results
 from pipeline.bop.vsd import vsd_of_poses
 from pipeline.exceptions import FormatError, InputError
+from tests.random_dataset import DIAMETERS, greedy, make_random, read_scene, slow_mspd, slow_mssd, write_rows
+from tests.slow_vsd import slow_vsd
 from tests.tiny_dataset import ANNOTATED, FIRST, SECOND, claim, make_dataset, moved, perfect, results_of
 
 (_, LEFT), (_, RIGHT), (_, SMALL) = ANNOTATED[FIRST]
@@ -114,6 +113,69 @@ def test_vsd_equals_that_of_each_pair_alone(tiny: Path):
     expected = np.mean(np.array(values)[:, :, None] < np.arange(0.05, 0.51, 0.05))
     assert 0.1 < expected < 0.9
     assert evaluated(tiny, *claims).scores.vsd == pytest.approx(expected, abs=1e-15)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_vsd_of_random_estimates_equals_the_equations_to_the_last_digit(tiny: Path, seed: int):
+    rng, dataset = np.random.default_rng(seed), open_dataset(tiny)
+    claims, found = [], []
+    for key in (FIRST, SECOND):
+        for obj_id in (1, 2):
+            truths = [pose for i, pose in ANNOTATED[key] if i == obj_id]
+            own = [claim(key, obj_id, moved(pose, *rng.normal(scale=0.01, size=3)), rng.random()) for pose in truths]
+            claims += own
+            best = sorted(own, key=lambda estimate: -estimate.score)
+            taus = [i / 20 * dataset.model(obj_id).diameter for i in range(1, 11)]
+            errors = np.array(
+                [
+                    [slow_vsd(dataset, key, obj_id, e.camera_from_model, truth, taus, True) for truth in truths]
+                    for e in best
+                ]
+            ).reshape(len(best), len(truths), 10)
+            for at_tau in range(10):
+                pairs = {(e, g): errors[e, g, at_tau] for e in range(len(best)) for g in range(len(truths))}
+                for theta in np.arange(0.05, 0.51, 0.05):
+                    found.append(len(greedy(pairs, len(best), len(truths), theta)))
+    at = np.sum(np.reshape(found, (4, 10, 10)), axis=0) / 4
+    scores = evaluated(tiny, *claims).scores
+    assert scores.vsd == at.mean()
+    assert 0.0 < at.mean() < 1.0
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_recalls_of_each_scene_and_object_equal_the_equations(tmp_path: Path, seed: int):
+    root = tmp_path / "random"
+    rows = make_random(root, seed)
+    found: dict[str, list] = {"scene": [], "object": [], "mssd": [], "mspd": []}
+    for scene_id in (1, 2):
+        truths, infos = read_scene(root, scene_id, "gt"), read_scene(root, scene_id, "gt_info")
+        for im_id, entries in truths.items():
+            fractions = [info["visib_fract"] for info in infos[im_id]]
+            for obj_id in (1, 2):
+                instances = [i for i, entry in enumerate(entries) if entry["obj_id"] == obj_id]
+                count = sum(fractions[i] >= 0.1 for i in instances)
+                instances = sorted(instances, key=lambda i: -fractions[i])[:count]
+                claims = [r for r in rows if (r["scene_id"], r["im_id"], r["obj_id"]) == (scene_id, im_id, obj_id)]
+                claims = sorted(claims, key=lambda row: -row["score"])[:count]
+                found["scene"] += [scene_id] * count
+                found["object"] += [obj_id] * count
+                for name, error, thetas in (
+                    ("mssd", lambda r, t: slow_mssd(r, t) / DIAMETERS[r["obj_id"]], np.arange(0.05, 0.51, 0.05)),
+                    ("mspd", slow_mspd, np.arange(5, 51, 5)),
+                ):
+                    errors = {
+                        (e, g): error(row, entries[i]) for e, row in enumerate(claims) for g, i in enumerate(instances)
+                    }
+                    taken = [greedy(errors, len(claims), count, theta).values() for theta in thetas]
+                    found[name] += [[g in at for at in taken] for g in range(count)]
+    results = read_results(write_rows(tmp_path / "method_random-test.csv", rows))
+    evaluation = evaluate(open_dataset(root), results, with_vsd=False)
+    for ids, parts in ((found["scene"], evaluation.per_scene), (found["object"], evaluation.per_object)):
+        assert set(parts) == set(ids)
+        for i, scores in parts.items():
+            of_id = np.array(ids) == i
+            for name in ("mssd", "mspd"):
+                assert getattr(scores, name) == np.mean(np.sum(np.array(found[name])[of_id], axis=0) / of_id.sum())
 
 
 # ---- cases of known recall
@@ -264,61 +326,3 @@ def test_progress_ends_at_one(tiny: Path):
     evaluate(open_dataset(tiny), perfect(), shares.append)
     assert shares == sorted(shares)
     assert shares[-1] == 1.0
-
-
-# ---- the command
-
-
-def written(folder: Path, results: Results, name: str) -> Path:
-    path = folder / f"{name}_tiny-test.csv"
-    write_results(path, results)
-    return path
-
-
-def test_command_prints_and_writes_the_scores(tiny: Path, tmp_path: Path):
-    out, console = tmp_path / "scores.json", Console(file=io.StringIO(), width=120)
-    path = written(tmp_path, perfect(), "mine")
-    assert run(EvaluateConfig(tiny, (path,), json=out), console) == 0
-    content = json.loads(out.read_text())
-    names = [f"bop19_average_recall{error}" for error in ("", "_vsd", "_mssd", "_mspd")]
-    assert list(content) == ["dataset", "method", "scores", "per_object", "targets", "seconds"]
-    assert (content["dataset"], content["method"], content["targets"]) == ("tiny", "mine", 4)
-    assert content["scores"] == dict.fromkeys(names, 1.0)
-    assert content["per_object"] == {"1": dict.fromkeys(names, 1.0), "2": dict.fromkeys(names, 1.0)}
-    assert content["seconds"] > 0
-    printed = console.file.getvalue()  # pyright: ignore[reportAttributeAccessIssue]
-    assert "mine" in printed
-    assert "1.0000" in printed
-
-
-def test_command_writes_a_list_for_several_files(tiny: Path, tmp_path: Path):
-    out = tmp_path / "scores.json"
-    paths = tuple(written(tmp_path, results, name) for name, results in (("a", perfect()), ("b", results_of())))
-    run(EvaluateConfig(tiny, paths, vsd=False, json=out), Console(file=io.StringIO()))
-    content = json.loads(out.read_text())
-    assert [(entry["method"], entry["scores"]["bop19_average_recall_mssd"]) for entry in content] == [
-        ("a", 1.0),
-        ("b", 0.0),
-    ]
-    assert content[0]["scores"]["bop19_average_recall_vsd"] is None
-    assert content[0]["reasons"] == dict.fromkeys(["bop19_average_recall", "bop19_average_recall_vsd"], "not asked for")
-
-
-def test_command_needs_a_results_file(tiny: Path):
-    with pytest.raises(InputError, match="no results file; name one or more"):
-        run(EvaluateConfig(tiny, ()), Console(file=io.StringIO()))
-
-
-def test_command_says_that_images_are_missing(lmo: Path):
-    console = Console(file=io.StringIO(), width=200)
-    run(EvaluateConfig(lmo, (lmo / "results" / "megapose_lmo-test.csv",)), console)
-    printed = console.file.getvalue()  # pyright: ignore[reportAttributeAccessIssue]
-    assert "365 of the 1445 instances of the BOP Challenge are here" in printed
-    assert "no VSD: no depth image for 49 of 50 images" in printed
-
-
-def test_command_names_a_file_of_another_dataset(tiny: Path, tmp_path: Path):
-    path, console = tmp_path / "mine_lmo-test.csv", Console(file=io.StringIO(), width=200)
-    write_results(path, perfect())
-    run(EvaluateConfig(tiny, (path,)), console)
-    assert "by its name for lmo, evaluated on tiny" in console.file.getvalue()  # pyright: ignore[reportAttributeAccessIssue]
