@@ -3,6 +3,7 @@
 import shutil
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 from PIL import Image
@@ -23,6 +24,7 @@ SIZE = {"width": 1440, "height": 810}
 PICTURES = {
     "image": ("row=3,2,3,6,-1&follow=1", []),
     "scene": ("row=2,7,5,4,-1&view=scene&display.others=1", ["Curves"]),
+    "leaderboard": ("board.open=1", []),
     "vsd": ("row=2,2,4,3,-1&follow=1&display.style=fill", ["VSD"]),
 }
 """Name, what the address asks for, and the tab on the right."""
@@ -30,7 +32,8 @@ PICTURES = {
 
 def main() -> None:
     """Start the server on the demo, take all pictures, and end it."""
-    command = [sys.executable, "-m", "inspector", "serve", "--port", "0", "--no-browser"]
+    folder = tempfile.TemporaryDirectory()
+    command = [sys.executable, "-m", "inspector", "serve", "--port", "0", "--no-browser", "--leaderboard", folder.name]
     server = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
     try:
         assert server.stdout is not None
@@ -42,6 +45,8 @@ def main() -> None:
                 page = browser.new_page(viewport=SIZE)
                 page.goto(f"{address}?{query}")
                 _settle(page)
+                if name == "leaderboard":
+                    page.wait_for_function("() => document.querySelectorAll('.pi-number').length === 2", timeout=60_000)
                 for tab in tabs:
                     page.get_by_role("tab", name=tab).click()
                 _settle(page)
@@ -51,6 +56,7 @@ def main() -> None:
     finally:
         server.terminate()
         server.wait()
+        folder.cleanup()
 
 
 def _settle(page: Page) -> None:

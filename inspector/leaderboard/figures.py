@@ -7,8 +7,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from inspector.selection import Board, Grouping, Score
+from pipeline.bop.curves import VISIBILITY, Curves, curves
 from pipeline.bop.evaluate import Evaluation
-from pipeline.bop.scores import MSPD_THETAS_PX, THETAS, FoundInstances, Scores, average_recalls, recalls
+from pipeline.bop.scores import MSPD_THETAS_PX, THETAS, Scores
 from pipeline.bop.vsd import TAUS
 
 
@@ -65,32 +66,30 @@ def _value(scores: Scores | None, score: Score) -> float | None:
 
 
 def _curves(evaluations: Sequence[Evaluation], score: Score) -> list[dict[str, Any]]:
-    instances = [evaluation.instances for evaluation in evaluations]
-    found = [
-        _curve("MSSD", "recall [%]", THETAS, _DIAMETERS, [recalls(table.mssd) for table in instances]),
-        _curve("MSPD", "recall [%]", MSPD_THETAS_PX, _PIXELS, [recalls(table.mspd) for table in instances]),
+    found = [curves(evaluation.instances) for evaluation in evaluations]
+    drawn = [
+        _curve("MSSD", "recall [%]", THETAS, _DIAMETERS, [of.mssd for of in found]),
+        _curve("MSPD", "recall [%]", MSPD_THETAS_PX, _PIXELS, [of.mspd for of in found]),
     ]
-    grids = [recalls(table.vsd) for table in instances if table.vsd is not None]
-    if len(grids) == len(instances) > 0:
-        found += [
+    grids = [of.vsd for of in found if of.vsd is not None]
+    if len(grids) == len(found) > 0:
+        drawn += [
             _curve("VSD", "recall [%], mean over tau", THETAS, _THETA, [grid.mean(axis=0) for grid in grids]),
             _curve("VSD", "recall [%], mean over theta", TAUS, _TAU, [grid.mean(axis=1) for grid in grids]),
         ]
-    over_visible = [_over_visible_fraction(table, score) for table in instances]
+    over_visible = [_over_visible_fraction(of, score) for of in found]
     if any(np.isfinite(line).any() for line in over_visible):
         title = {"average": "AR", "vsd": "AR_VSD", "mssd": "AR_MSSD", "mspd": "AR_MSPD"}[score]
-        found.append(_curve(f"{title} over visible fraction", "[%], in tenths", _TENTHS, _VISIBLE, over_visible))
-    return found
+        drawn.append(_curve(f"{title} over visible fraction", "[%], in tenths", _TENTHS, _VISIBLE, over_visible))
+    return drawn
 
 
-def _over_visible_fraction(instances: FoundInstances, score: Score) -> Float[np.ndarray, "10"]:
-    """Average recall of the instances of each tenth of the visible fraction, NaN where there are none."""
-    tenth = np.clip(np.nan_to_num(instances.visible_fraction, nan=-1) * 10, -1, 9).astype(int)
-    line = np.full(10, np.nan)
-    for i in np.unique(tenth[tenth >= 0]):
-        value = _value(average_recalls(instances, tenth == i), score)
-        line[i] = np.nan if value is None else value
-    return line
+def _over_visible_fraction(of: Curves, score: Score) -> Float[np.ndarray, "b"]:
+    """Average recall of each tenth of the visible fraction, NaN where there is none."""
+    lines = {"vsd": of.vsd_by_visibility, "mssd": of.mssd_by_visibility, "mspd": of.mspd_by_visibility}
+    wanted = list(lines.values()) if score == "average" else [lines[score]]
+    known = [line for line in wanted if line is not None]
+    return np.mean(known, axis=0) if len(known) == len(wanted) else np.full(len(_TENTHS), np.nan)
 
 
 def _curve(
@@ -107,7 +106,7 @@ def _curve(
     }
 
 
-_TENTHS = np.arange(0.05, 1.0, 0.1)
+_TENTHS = (VISIBILITY[:-1] + VISIBILITY[1:]) / 2
 _DIAMETERS = {"label": "threshold, share of the diameter", "ticks": [0.1, 0.2, 0.3, 0.4, 0.5], "from": 0, "to": 0.5}
 _PIXELS = {"label": "threshold, px at 640 px width", "ticks": [10, 20, 30, 40, 50], "from": 0, "to": 50}
 _THETA = {"label": "threshold theta", "ticks": [0.1, 0.2, 0.3, 0.4, 0.5], "from": 0, "to": 0.5}
