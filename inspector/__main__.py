@@ -22,6 +22,8 @@ from inspector.commands.record import RecordConfig
 from inspector.commands.record import run as run_record
 from inspector.commands.serve import ServeConfig
 from inspector.commands.serve import run as run_serve
+from inspector.commands.symmetries import SymmetriesConfig
+from inspector.commands.symmetries import run as run_symmetries
 from pipeline.exceptions import InputError
 
 
@@ -34,6 +36,7 @@ def main() -> None:
         "record": (RecordConfig, run_record),
         "doctor": (DoctorConfig, run_doctor),
         "gt-info": (GtInfoConfig, run_gt_info),
+        "symmetries": (SymmetriesConfig, run_symmetries),
         "download": (DownloadConfig, run_download),
     }
     level = logging.getLevelNamesMapping().get(os.environ.get("INSPECTOR_LOG", "").upper(), logging.WARNING)
