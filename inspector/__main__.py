@@ -20,6 +20,8 @@ from inspector.commands.gt_info import GtInfoConfig
 from inspector.commands.gt_info import run as run_gt_info
 from inspector.commands.record import RecordConfig
 from inspector.commands.record import run as run_record
+from inspector.commands.run import RunConfig
+from inspector.commands.run import run as run_run
 from inspector.commands.serve import ServeConfig
 from inspector.commands.serve import run as run_serve
 from inspector.commands.symmetries import SymmetriesConfig
@@ -33,6 +35,7 @@ def main() -> None:
         "serve": (ServeConfig, run_serve),
         "evaluate": (EvaluateConfig, run_evaluate),
         "check": (CheckConfig, run_check),
+        "run": (RunConfig, run_run),
         "record": (RecordConfig, run_record),
         "doctor": (DoctorConfig, run_doctor),
         "gt-info": (GtInfoConfig, run_gt_info),

@@ -41,6 +41,7 @@ ENTRANCES = [
     "inspector.commands.doctor",
     "inspector.commands.evaluate",
     "inspector.commands.gt_info",
+    "inspector.commands.run",
     "inspector.commands.serve",
     "pipeline.bop.assessment",
     "pipeline.bop.dataset",

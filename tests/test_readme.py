@@ -87,6 +87,8 @@ def problem_of_make(arguments: list[str]) -> str | None:
 def problem_of_inspector(arguments: list[str]) -> str | None:
     options = [argument.split("=")[0] for argument in arguments if argument.startswith("-")]
     subcommand = arguments[0] if arguments and not arguments[0].startswith("-") else ""
+    if subcommand == "run":  # of a method
+        subcommand = " ".join(arguments[:2])
     shown = inspector_help(subcommand)
     if shown is None:
         return f"there is no subcommand {subcommand}"
@@ -97,7 +99,7 @@ def problem_of_inspector(arguments: list[str]) -> str | None:
 @functools.cache
 def inspector_help(subcommand: str) -> str | None:
     """The help text of a subcommand, or of the whole command if empty; None if there is no such subcommand."""
-    command = [sys.executable, "-m", "inspector", *([subcommand] if subcommand else []), "--help"]
+    command = [sys.executable, "-m", "inspector", *subcommand.split(), "--help"]
     wide = {**os.environ, "COLUMNS": "200"}
     done = subprocess.run(command, cwd=REPOSITORY, env=wide, capture_output=True, text=True, check=False)
     # For an unknown subcommand, tyro shows the help of the whole command.

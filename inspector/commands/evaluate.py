@@ -88,6 +88,10 @@ def run(config: EvaluateConfig, console: Console | None = None) -> int:
         for job in jobs:
             try:
                 evaluations.append(_evaluated(config, job, workers, console))
+            except KeyboardInterrupt:
+                goes_on = f"the same command goes on from what is in {config.out}" if config.out else "nothing is kept"
+                console.print(f"interrupted; {escape(goes_on)}", soft_wrap=True)
+                raise
             except InputError as error:
                 if len(jobs) == 1:
                     raise
@@ -131,6 +135,10 @@ def _jobs(config: EvaluateConfig) -> list[_Job]:
         jobs.append(_Job(file, datasets[root, split], folder))
         if jobs[-1].is_2d and config.task != "detection":
             raise InputError(f"{file}: a JSON file holds 2D detections; add --task detection, or give poses as CSV")
+        if (config.measure or config.modal) and not jobs[-1].is_2d:
+            raise InputError(f"{file}: holds poses; leave out --2d and --modal, which are for 2D detections (JSON)")
+    if config.modal and config.measure == "segm":
+        raise InputError("--modal is about boxes; leave it out, or give --2d bbox")
     for path in (config.json, *(folder / "scores.json" for job in jobs if (folder := job.folder))):
         if path is not None:
             check_writable(path)
@@ -169,6 +177,8 @@ def _detections(config: EvaluateConfig, job: _Job) -> "AnyEvaluation":
     from pipeline.bop.evaluation_files import with_notes
 
     detections = read_detections(job.file)
+    if not len(detections):
+        raise FormatError(f"{job.file}: holds no detections; write one for each object that was found")
     evaluation = evaluate_detections(job.dataset, detections, config.measure, modal=config.modal)
     named, own = detections.dataset_name.lower(), job.dataset.name.lower()
     notes = [f"{job.file} is for {named} by its name, evaluated on {own}; check both"] if named not in ("", own) else []
@@ -183,11 +193,10 @@ def _poses(config: EvaluateConfig, job: _Job, execution: "Execution", console: C
     from pipeline.bop.submission import check_submission
 
     checked = check_submission(job.dataset, job.file, config.task)
-    fatal = next(
-        (found for found in checked.errors if checked.results is None or found.kind == "nothing matches"), None
-    )
-    if checked.results is None or fatal is not None:
-        raise FormatError(f"{job.file}: {fatal.text if fatal else 'cannot be read; get it again'}")
+    if checked.results is None or checked.unusable is not None:
+        raise FormatError(
+            f"{job.file}: {checked.unusable.text if checked.unusable else 'cannot be read; get it again'}"
+        )
     results = checked.results
     with _progress(console, job.file.name) as progress:
         if config.task == "siso":

@@ -63,7 +63,7 @@ class AddDialog:
             self._said.content = html.block(html.finding("error", file.name, "", str(error), ""))
             return
         self._said.content = _findings(file.name, check, self._workspace)
-        self._offer(file if _can_be_evaluated(check) else None)
+        self._offer(file if check.results is not None and check.unusable is None else None)
         if not self._name.value and check.results is not None:
             self._name.value = check.results.method
 
@@ -179,13 +179,6 @@ def properties_of(text: str) -> dict[str, str]:
             raise InputError(f"property {line!r}: has no name; write it as  name: value")
         found[name.strip()] = value.strip()
     return found
-
-
-def _can_be_evaluated(check: SubmissionCheck) -> bool:
-    """Whether scores can be computed, even if BOP would refuse the file, as for its name."""
-    return (
-        check.results is not None and len(check.results) > 0 and all(f.kind != "nothing matches" for f in check.errors)
-    )
 
 
 def _findings(name: str, check: SubmissionCheck, workspace: Workspace) -> str:

@@ -1,5 +1,6 @@
 """What the page of the leaderboard asks of a session; arguments come from the browser, unchecked."""
 
+import contextlib
 from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, get_args
@@ -45,7 +46,7 @@ class LeaderboardPage:
             "board_show": self.show,
             "board_targets": self.open_targets,
             "board_evaluate": self.evaluate,
-            "board_cancel": lambda job_id: self._service.queue.cancel(int(job_id)),
+            "board_cancel": self.cancel,
             "board_edit": self.edit,
         }
 
@@ -54,7 +55,8 @@ class LeaderboardPage:
         board = self._session.selection.board
         if not board.open:
             return {"open": False}
-        self._service.opened(self._session.workspace)
+        with contextlib.suppress(InputError):  # the table says it
+            self._service.opened(self._session.workspace)
         first, second = self._marked()
         return {
             "open": True,
@@ -68,7 +70,7 @@ class LeaderboardPage:
 
     def show(self, changes: dict[str, Any]) -> None:
         """Change what the leaderboard shows."""
-        known = {name: value for name, value in changes.items() if name in _CHOICES and _CHOICES[name](value)}
+        known = {name: value for name, value in dict(changes).items() if name in _CHOICES and _CHOICES[name](value)}
         self._session.change(board=known)
 
     def table(self) -> dict[str, Any]:
@@ -92,7 +94,7 @@ class LeaderboardPage:
 
     def open_targets(self, submission_id: int, dataset: str, wanted: dict[str, Any]) -> None:
         """Look at the targets behind a number, the worst first."""
-        session = self._session
+        session, wanted = self._session, dict(wanted)
         selection = session.selection
         here = f"{session.workspace.dataset.name.lower()}/{session.workspace.dataset.split}"
         criterion = wanted.get("criterion")
@@ -121,6 +123,10 @@ class LeaderboardPage:
             self._service.evaluate(submission, workspace)
         except InputError as error:
             self._session.notify("It cannot be evaluated", error)
+
+    def cancel(self, job_id: int) -> None:
+        """Give up an evaluation."""
+        self._service.queue.cancel(int(job_id))
 
     def edit(self, submission_id: int) -> None:
         """Open the dialog that changes what is said of a submission."""
@@ -152,7 +158,7 @@ class LeaderboardPage:
     def _evaluation(self, submission_id: int) -> Evaluation | None:
         try:
             return self._service.evaluation(submission_id, self._session.workspace)
-        except InputError:
+        except (InputError, OverflowError):  # a number from an address may be too large for the store
             return None
 
 

@@ -20,9 +20,11 @@ class LeaderboardService:
     """The leaderboard of a server; any thread may use it."""
 
     def __init__(self, folder: Path | None = None) -> None:
-        """Use the leaderboard of a folder, by default the user's own."""
-        self.store = Leaderboard(folder or default_folder())
-        self.queue = EvaluationQueue(self.store)
+        """Use the leaderboard of a folder, by default the user's own; it is opened when somebody looks."""
+        self._lock = threading.RLock()
+        self._folder = folder or default_folder()
+        self._store: Leaderboard | None = None
+        self._queue: EvaluationQueue | None = None
         self.version = 0
         """Grows with everything new."""
         self.numbers = 0
@@ -31,13 +33,28 @@ class LeaderboardService:
         self._offered: set[Workspace] = set()
         self._finished: frozenset[int] = frozenset()
         self._listeners: set[Callable[[], None]] = set()
-        self._lock = threading.RLock()
         self._started = False
+
+    @property
+    def store(self) -> Leaderboard:
+        """The leaderboard. Raises InputError if it is damaged or cannot be opened; all else works without it."""
+        with self._lock:
+            if self._store is None:
+                self._store = Leaderboard(self._folder)
+            return self._store
+
+    @property
+    def queue(self) -> EvaluationQueue:
+        """The evaluations at work. Raises InputError as `store` does."""
+        with self._lock:
+            if self._queue is None:
+                self._queue = EvaluationQueue(self.store)
+            return self._queue
 
     def stop(self) -> None:
         """End the work; unfinished evaluations are taken up at the next start."""
-        if self._started:
-            self.queue.stop()
+        if self._queue is not None:
+            self._queue.stop()
 
     def listen(self, listener: Callable[[], None]) -> Callable[[], None]:
         """Have `listener` called when something is new, from any thread; returns what ends that."""
@@ -51,12 +68,16 @@ class LeaderboardService:
         self._tell()
 
     def opened(self, workspace: Workspace) -> None:
-        """Begin to work when somebody looks: take up what was left, and evaluate the methods that are served."""
+        """Begin to work when somebody looks: take up what was left, and evaluate the methods that are served.
+
+        Raises InputError if the leaderboard cannot be opened.
+        """
         with self._lock:
+            queue = self.queue
             if not self._started:
                 self._started = True
-                self.queue.listen(self._news)
-                self.queue.start()
+                queue.listen(self._news)
+                queue.start()
             if workspace in self._offered:
                 return
             self._offered.add(workspace)

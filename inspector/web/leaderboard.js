@@ -287,8 +287,10 @@
     const methods = data.methods.map((method, index) => ({ ...method, color: COLORS[method.place === "second" ? 1 : 0] }));
     if (methods.length === 0) {
       const waiting = numbers.rows.some((row) => row.cells[numbers.here]?.job);
+      const some = numbers.rows.some((row) => row.cells[numbers.here]?.scores);
       const hint = waiting ? "Bars and curves follow when a method has been evaluated."
-        : "Mark a method with A, and another with B, to see bars and curves.";
+        : some ? "Mark a method with A, and another with B, to see bars and curves."
+        : "No method has been evaluated on this dataset.";
       figures.replaceChildren(element("p", "pi-dim", numbers.rows.length ? hint : ""));
       return;
     }

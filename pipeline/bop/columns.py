@@ -16,7 +16,8 @@ import numpy as np
 from jaxtyping import Int
 
 from pipeline.bop.dataset import Dataset
-from pipeline.bop.journal import NoJournal, PieceJournal, evaluation_of
+from pipeline.bop.evaluation_name import evaluation_of
+from pipeline.bop.journal import NoJournal, PieceJournal
 from pipeline.bop.results import Results
 from pipeline.parallel import HERE as IN_THIS_PROCESS
 from pipeline.parallel import Workers

@@ -5,77 +5,31 @@ and checksum: one that a killed process has left half-written, or that was damag
 """
 
 import fcntl
-import hashlib
 import io
 import json
 import logging
 import os
-import pickle
-import re
 import struct
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple
 
 import numpy as np
 
-from pipeline.bop.dataset import Dataset
-from pipeline.bop.leaderboard_fingerprint import fingerprint
-from pipeline.bop.results import Results
+from pipeline.bop.evaluation_name import EvaluationName
 from pipeline.exceptions import InputError
-from pipeline.program import program
-from pipeline.scene import Target
 
 log = logging.getLogger(__name__)
 
 SUFFIX = ".pieces"
+"""Of the files."""
 
 _MARK = b"\x93piece\r\n"
 _HEAD = struct.Struct("<qQI")  # index, length, CRC-32 of what follows
 _ABOUT = -1
 """Index under which the file says what it is about."""
-
-
-class EvaluationName(NamedTuple):
-    """Which evaluation it is, and what decides its numbers."""
-
-    title: str
-    """Dataset, split and method."""
-    what: str
-    """Digest of the title, what is computed, and its options: the evaluation that the user means."""
-    decisive: Mapping[str, str]
-    """Digests by name of all else that the numbers depend on."""
-
-    @property
-    def file_name(self) -> str:
-        """Of its journal."""
-        readable = re.sub(r"[^A-Za-z0-9.-]+", "_", self.title)[:80]
-        return f"{readable}-{self.what}-{_digest(json.dumps(self.decisive).encode())}{SUFFIX}"
-
-
-def evaluation_of(
-    compute: Any, dataset: Dataset, results: Results, targets: Sequence[Target], per_piece: int
-) -> EvaluationName:
-    """Name an evaluation; `compute` and its options are told apart by their pickle."""
-    title = f"{dataset.name}-{dataset.split}-{results.method}"
-    arrays = (results.scene_id, results.im_id, results.obj_id, results.score, results.rotation, results.translation_mm)
-    decisive = {
-        "dataset": fingerprint(dataset),
-        "results": _digest(*(np.ascontiguousarray(array) for array in (*arrays, results.time_s))),
-        "targets": _digest(np.array(targets, dtype=np.int64), str(per_piece).encode()),
-        "program": program(),
-    }
-    return EvaluationName(title, _digest(title.encode(), pickle.dumps(compute, 4)), decisive)
-
-
-def _digest(*parts: Any) -> str:
-    digest = hashlib.sha256()
-    for part in parts:
-        digest.update(part)
-    return digest.hexdigest()[:16]
 
 
 class NoJournal:
@@ -100,7 +54,7 @@ class PieceJournal:
 
         Raises InputError if it cannot be written, or another process holds it.
         """
-        self.path = folder / name.file_name
+        self.path = folder / f"{name.file_name}{SUFFIX}"
         self.kept: dict[int, dict[str, np.ndarray]] = {}
         """Columns of the finished pieces by index."""
         is_new = not self.path.exists()

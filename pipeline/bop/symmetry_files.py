@@ -118,5 +118,7 @@ def _kept(path: Path) -> Path:
     try:
         shutil.copy2(path, backup)
     except OSError as error:
-        raise InputError(f"{backup}: cannot be written ({error.strerror}); free space or allow writing there") from error
+        raise InputError(
+            f"{backup}: cannot be written ({error.strerror}); free space or allow writing there"
+        ) from error
     return backup

@@ -5,7 +5,6 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from pipeline.geometry import inverse, transform, transform_points
 
@@ -36,6 +35,8 @@ class Axis(NamedTuple):
 
     def turn(self, angle: float) -> Float[np.ndarray, "4 4"]:
         """The transform that turns by an angle (radians), model frame to model frame."""
+        from scipy.spatial.transform import Rotation
+
         rotation = Rotation.from_rotvec(angle * self.direction).as_matrix()
         return transform(rotation, self.through - rotation @ self.through)
 
@@ -122,12 +123,18 @@ NO_SYMMETRY = SymmetryGroup(np.empty((0, 4, 4)))
 
 
 def axis_of(turn: Float[np.ndarray, "4 4"]) -> Axis:
-    """The axis of a turn that is not the identity; of its two directions the one that points up (z, else y, else x)."""
+    """The axis of a turn that is not the identity."""
+    from scipy.spatial.transform import Rotation
+
     vector = Rotation.from_matrix(turn[:3, :3]).as_rotvec()
-    direction = vector / np.linalg.norm(vector)
-    leading = direction[np.flatnonzero(np.abs(direction) > 1e-6)[-1]]
     through = np.linalg.lstsq(np.eye(3) - turn[:3, :3], turn[:3, 3], rcond=1e-6)[0]
-    return Axis(np.sign(leading) * direction, through)
+    return Axis(pointing_up(vector / np.linalg.norm(vector)), through)
+
+
+def pointing_up(direction: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    """Of the two directions of an axis the usual one: its main coordinate is positive, of several the last one."""
+    main = np.flatnonzero(np.abs(direction) > 0.9 * np.abs(direction).max())[-1]
+    return direction * np.sign(direction[main]) + 0.0
 
 
 def turns_apart(turn: Float[np.ndarray, "4 4"], other: Float[np.ndarray, "4 4"], extent: Extent) -> float:
@@ -139,12 +146,16 @@ def turns_apart(turn: Float[np.ndarray, "4 4"], other: Float[np.ndarray, "4 4"],
 
 def _angle_about(axis: Axis, turn: Float[np.ndarray, "4 4"]) -> float:
     """The angle of the turn about an axis that is nearest to a rotation."""
+    from scipy.spatial.transform import Rotation
+
     x, y, z, w = Rotation.from_matrix(turn[:3, :3]).as_quat()
     return 2 * float(np.arctan2(np.array([x, y, z]) @ axis.direction, w))
 
 
 def _name(rotations: Float[np.ndarray, "k 3 3"]) -> str:
     """Schoenflies name of a finite group by its number of turns and their angles."""
+    from scipy.spatial.transform import Rotation
+
     count = len(rotations) + 1
     if count == 1:
         return "no symmetry"

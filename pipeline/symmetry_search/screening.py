@@ -65,7 +65,8 @@ def _neighbours(axes: Float[np.ndarray, "a 3"]) -> Int[np.ndarray, "a 9"]:
     """Each axis and the eight nearest to it, where a direction and its opposite are the same."""
     from scipy.spatial import KDTree
 
-    return KDTree(np.concatenate([axes, -axes])).query(axes, 9)[1] % len(axes)
+    _, nearest = KDTree(np.concatenate([axes, -axes])).query(axes, 9)
+    return np.asarray(nearest) % len(axes)
 
 
 def _lowest(values: Float[np.ndarray, "a"], neighbours: Int[np.ndarray, "a 9"]) -> Int[np.ndarray, "n"]:

@@ -19,6 +19,7 @@ from pipeline.symmetry_search.groups import (
     Candidate,
     SymmetryGroup,
     axis_of,
+    pointing_up,
     turns_apart,
 )
 from pipeline.symmetry_search.screening import seeds
@@ -175,7 +176,7 @@ def _candidate(surface: Surface, fit: Fit, bound: float) -> Candidate:
     """A fit in the model frame, about the axis that suits the whole surface best."""
     shown = fit if fit.distance < SAMPLING * surface.size else best_fitting(surface, fit, bound)
     direction = shown.line.direction
-    direction = direction * np.sign(direction[np.flatnonzero(np.abs(direction) > 1e-6)[-1]]) + 0.0
+    direction = pointing_up(direction)
     through = shown.line.through + surface.center
     through = through - direction * (direction @ through)
     axis = Axis(direction, np.where(np.abs(through) < 1e-12, 0.0, through))

@@ -59,13 +59,29 @@ def test_it_prints_and_writes_the_scores(tiny: Path, tmp_path: Path):
 
 def test_several_files_give_a_list(tiny: Path, tmp_path: Path):
     out = tmp_path / "scores.json"
-    paths = tuple(written(tmp_path, results, name) for name, results in (("a", perfect()), ("b", results_of())))
+    far = results_of(claim(FIRST, 1, moved(ANNOTATED[FIRST][0][1], z=1.0)))
+    paths = tuple(written(tmp_path, results, name) for name, results in (("a", perfect()), ("b", far)))
     called(tiny, paths, vsd=False, json=out)
     content = json.loads(out.read_text())
     assert [(entry["method"], entry["scores"][NAMES[2]]) for entry in content] == [("a", 1.0), ("b", 0.0)]
     assert content[0]["scores"][NAMES[1]] is None
     assert content[0]["reasons"] == dict.fromkeys(NAMES[:2], "not asked for")
-    assert "BOP would refuse the file: it holds no estimates" in content[1]["notes"][0]
+    assert any("targets have no estimate" in note for note in content[1]["notes"])
+
+
+def test_a_file_without_estimates_is_refused(tiny: Path, tmp_path: Path):
+    with pytest.raises(FormatError, match="it holds no estimates"):
+        called(tiny, (written(tmp_path, results_of(), "empty"),), vsd=False)
+
+
+def test_a_file_for_another_dataset_is_refused_though_some_rows_fit_by_chance(tiny: Path, tmp_path: Path):
+    elsewhere = claim(FIRST._replace(scene_id=9), 1, ANNOTATED[FIRST][0][1])
+    path = tmp_path / "method_lmo-test.csv"
+    write_results(path, results_of(claim(FIRST, 1, ANNOTATED[FIRST][0][1]), elsewhere, elsewhere))
+    with pytest.raises(
+        FormatError, match=r"by its name method_lmo-test\.csv is for lmo, but it is checked against tiny"
+    ):
+        called(tiny, (path,), vsd=False)
 
 
 def test_average_distances_if_asked_for(tiny: Path, tmp_path: Path):

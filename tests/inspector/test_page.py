@@ -199,5 +199,5 @@ def test_a_page_that_went_away_is_forgotten():
 
 def test_our_script_and_style_are_served():
     files = static_files()
-    assert set(files) == {"/inspector.js", "/inspector.css"}
+    assert set(files) == {f"/{name}.{suffix}" for name in ("inspector", "leaderboard") for suffix in ("js", "css")}
     assert all(content for _, content in files.values())

@@ -1,16 +1,21 @@
 """Running a method over a dataset: what is finished stays finished, what fails is kept with its reason."""
 
-from collections.abc import Sequence
+import os
+from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 from tiny_dataset import ANNOTATED, CAMERA, FIRST, SECOND, claim, make_dataset, moved, perfect, results_of
+from worker_functions import Annotated, without_network
 
 from pipeline.bop.dataset import Dataset, open_dataset
 from pipeline.bop.results import read_results
 from pipeline.bop.vsd import vsd_of_poses
 from pipeline.exceptions import InputError
+from pipeline.lazy_estimator import LazyEstimator
+from pipeline.parallel import HERE, Workers, open_workers
 from pipeline.recording import ColorImage, DepthMap, Heatmap, Mask, RecordingReader, StageRecorder
 from pipeline.replay import TAU, Replay
 from pipeline.run import Run
@@ -126,6 +131,111 @@ def test_a_pose_that_is_not_finite_is_a_failure_of_its_image(dataset: Dataset, t
 def test_our_own_faults_are_not_taken_for_failures_of_the_method(dataset: Dataset, tmp_path: Path):
     with start(dataset, tmp_path) as run, pytest.raises(ZeroDivisionError):
         run_estimator(Copying(dataset, (FIRST,), ZeroDivisionError()), dataset, run)
+
+
+# --------------------------------------------------------------------------------------------- several processes
+@pytest.fixture(scope="module")
+def two() -> Iterator[Workers]:
+    """Two other processes."""
+    with open_workers(2) as workers:
+        yield workers
+
+
+def annotated(dataset: Dataset, marks: Path, **options: int) -> LazyEstimator:
+    marks.mkdir(exist_ok=True)
+    return LazyEstimator(partial(Annotated, dataset.root, marks, **options))
+
+
+def asked(marks: Path, key: ImageKey) -> int:
+    """How often an image was given to the estimator."""
+    path = marks / f"image-{key.im_id}"
+    return len(path.read_text().splitlines()) if path.exists() else 0
+
+
+def test_other_processes_find_and_record_the_same(two: Workers, dataset: Dataset, tmp_path: Path):
+    with start(dataset, tmp_path) as run:
+        shares: list[float] = []
+        estimator = annotated(dataset, tmp_path / "marks")
+        assert run_estimator(estimator, dataset, run, progress=shares.append, workers=two) == 0
+        assert set(run.finished_images()) == {FIRST, SECOND}
+    assert shares == [0.0, 0.5, 1.0]
+    results = read_results(run.results_path)
+    for key in (FIRST, SECOND):
+        found = [estimate.camera_from_model for estimate in results.estimates(key)]
+        np.testing.assert_allclose(found, [pose for _, pose in ANNOTATED[key]])
+        reader = RecordingReader.open(run.recording_path(key))
+        assert reader.verified
+        np.testing.assert_array_equal(reader.read("image/rgb", ColorImage).rgb, dataset.rgb(key))
+        assert "estimates/0" in reader.kinds()
+    assert not (tmp_path / "marks" / f"made-{os.getpid()}").exists()
+
+
+def test_an_estimator_is_made_once_in_each_process(two: Workers, tmp_path: Path):
+    demo = open_dataset(Path(__file__).resolve().parents[2] / "assets" / "demo")
+    marks = tmp_path / "marks"
+    with Run.create(tmp_path / "run", dataset=demo, method="annotated") as run:
+        run_estimator(annotated(demo, marks), demo, run, record=False, workers=two)
+        assert len(run.finished_images()) == 24
+    made = [path.read_text() for path in marks.glob("made-*")]
+    assert made in (["made\n"], ["made\n"] * 2)
+
+
+def test_an_estimator_that_cannot_be_made_ends_the_run(two: Workers, dataset: Dataset, tmp_path: Path):
+    missing = LazyEstimator(partial(without_network, dataset.root))
+    with start(dataset, tmp_path) as run:
+        for workers in (HERE, two):
+            with pytest.raises(InputError, match="the network file is absent; download it"):
+                run_estimator(missing, dataset, run, workers=workers)
+        assert run.finished_images() == ()
+
+
+def test_images_of_a_killed_process_are_done_again(two: Workers, dataset: Dataset, tmp_path: Path):
+    with start(dataset, tmp_path) as run:
+        estimator = annotated(dataset, tmp_path / "marks", dies_once=FIRST.im_id)
+        assert run_estimator(estimator, dataset, run, workers=two) == 0
+        assert {image.key: image.failure for image in run.finished()} == {FIRST: None, SECOND: None}
+    assert asked(tmp_path / "marks", FIRST) == 2
+    assert len(read_results(run.results_path)) == 4
+    assert not list(run.recordings.glob(".*"))
+
+
+def test_images_that_fail_or_kill_are_kept_as_failures_and_the_others_go_on(
+    two: Workers, dataset: Dataset, tmp_path: Path
+):
+    options = {"fails": SECOND.im_id, "dies": FIRST.im_id}
+    with start(dataset, tmp_path) as run:
+        assert run_estimator(annotated(dataset, tmp_path / "marks", **options), dataset, run, workers=two) == 2
+        failures = {image.key: image.failure for image in run.finished()}
+    assert failures[SECOND] == "image 1 is too dark; light it"
+    assert str(failures[FIRST]).startswith("scene 1, image 0: its worker process ended (signal 9, Killed), 3 times")
+    with start(dataset, tmp_path) as run:
+        assert run_estimator(annotated(dataset, tmp_path / "marks"), dataset, run, workers=two) == 0
+    assert asked(tmp_path / "marks", SECOND) == 1
+
+
+def test_an_interrupted_run_of_several_processes_goes_on(two: Workers, dataset: Dataset, tmp_path: Path):
+    def interrupt(share: float) -> None:
+        if share:
+            raise KeyboardInterrupt
+
+    estimator = annotated(dataset, tmp_path / "marks")
+    with pytest.raises(KeyboardInterrupt), start(dataset, tmp_path) as run:
+        run_estimator(estimator, dataset, run, progress=interrupt, workers=two)
+    with start(dataset, tmp_path) as run:
+        (first,) = run.finished_images()
+        assert run_estimator(estimator, dataset, run, workers=two) == 0
+        assert len(run.finished_images()) == 2
+    assert asked(tmp_path / "marks", first) == 1
+    assert len(read_results(run.results_path)) == 4
+
+
+def test_what_killed_processes_were_writing_is_removed(dataset: Dataset, tmp_path: Path):
+    with start(dataset, tmp_path) as run:
+        names = [".000001_000000.rrd.123-0a1b2c3d", ".000001_000000.rrd.123-0a1b2c3d.sha256", ".layout.rbl.123"]
+        for name in (*names, ".keep"):
+            (run.recordings / name).touch()
+        run_estimator(Copying(dataset), dataset, run)
+        assert [path.name for path in run.recordings.glob(".*")] == [".keep"]
 
 
 # -------------------------------------------------------------------------------------------------------- replay

@@ -15,8 +15,11 @@ from pipeline.bop.results_csv import MAX_ROWS, Scan, UnreadableError
 from pipeline.bop.submission.asked import asked_of
 from pipeline.bop.submission.file import check_name, check_text, finding_of
 from pipeline.bop.submission.findings import Finding, Given, Task
-from pipeline.bop.submission.targets import check_counts, check_ids
+from pipeline.bop.submission.targets import NOT_ASKED, check_counts, check_ids
 from pipeline.bop.submission.values import check_poses, check_scores, check_times
+
+MEANINGLESS = frozenset({"nothing matches", "no rows", "no targets"})
+"""Kinds of findings of which any forbids to score a file."""
 
 __all__ = ["Finding", "SubmissionCheck", "Task", "check_submission"]
 
@@ -44,6 +47,18 @@ class SubmissionCheck:
     def warnings(self) -> tuple[Finding, ...]:
         """What looks wrong, but is evaluated."""
         return tuple(finding for finding in self.findings if finding.severity == "warning")
+
+    @cached_property
+    def unusable(self) -> Finding | None:
+        """Why the file is not to be scored, as the numbers would mean nothing; None where it can be.
+
+        A file that is only misnamed can be: most of its rows are for targets of the dataset.
+        """
+        if self.results is None:
+            return next(iter(self.errors), None)
+        ignored = sum(finding.count for finding in self.findings if finding.kind in NOT_ASKED)
+        foreign = {"other dataset"} if 2 * ignored > self.rows else set()
+        return next((found for found in self.findings if found.kind in MEANINGLESS | foreign), None)
 
     @property
     def ok(self) -> bool:

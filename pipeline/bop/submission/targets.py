@@ -72,6 +72,17 @@ def _not_asked(given: Given, asked: Asked) -> Iterator[tuple]:
         )
 
 
+NOT_ASKED = frozenset(
+    {
+        "image not on disk",
+        "unknown scene",
+        "unknown image",
+        "unknown object",
+        "image without target",
+        "object without target",
+    }
+)
+"""Kinds of findings whose rows are of no use; a row is in one of them at most."""
 _WHY_NOTHING = {
     "image not on disk": "get the whole split: images of its targets are not here",
     "image without target": "give the list of targets that comes with the split, or a file for its targets",

@@ -142,3 +142,13 @@ def test_properties_are_lines_with_a_colon():
     assert properties_of("image type: RGB\n\n GPU : A100: two ") == {"image type": "RGB", "GPU": "A100: two"}
     with pytest.raises(InputError, match="property 'RGB': has no name; write it as  name: value"):
         properties_of("RGB")
+
+
+def test_a_damaged_leaderboard_hinders_nothing_else(root, written, tmp_path):
+    folder = tmp_path / "damaged"
+    folder.mkdir()
+    (folder / "leaderboard.sqlite").write_bytes(b"no database at all" * 500)
+    service = LeaderboardService(folder)
+    with pytest.raises(InputError, match=r"leaderboard\.sqlite: is damaged"):
+        service.opened(open_workspace(root, (written(perfect()),)))
+    service.stop()

@@ -1,6 +1,7 @@
 """Columns piece by piece: the same to the last bit wherever they are computed, and however often it was interrupted."""
 
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -109,6 +110,21 @@ def test_row_numbers_are_those_of_the_whole_results(two: Workers, demo: Dataset,
     found = computed(Execution(two if parallel else None), rows_of_results, demo, results)
     expected = [row for target in demo.targets() for row in [*results.rows(target.image, target.obj_id), -1]]
     assert found["row"].tolist() == expected
+
+
+def test_a_dataset_is_sent_without_what_it_has_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    make_dataset(tmp_path / "tiny")
+    monkeypatch.chdir(tmp_path)
+    dataset = open_dataset(Path("tiny"))
+    unread = pickle.dumps(dataset)
+    dataset.model(1), dataset.targets(), dataset.problems()
+    data = pickle.dumps(dataset)
+    assert data == unread
+    monkeypatch.chdir("/")
+    opened = pickle.loads(data)
+    assert (opened.root, opened.name, opened.split) == (tmp_path / "tiny", "tiny", "test")
+    assert opened.targets() == dataset.targets()
+    np.testing.assert_array_equal(opened.model(1).vertices, dataset.model(1).vertices)
 
 
 def test_errors_name_what_is_wrong_wherever_it_happens(two: Workers, tmp_path: Path):
