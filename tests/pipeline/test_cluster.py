@@ -148,7 +148,11 @@ def test_workers_without_the_program_are_told():
 
 def test_results_are_those_of_this_process(two: Workers):
     assert dict(two.map_unordered(square, range(50), 3)) == {item: 3 + item * item for item in range(50)}
-    processes = {process for _, process in two.map_unordered(process_of, [0.1] * 10, None)}
+    processes: set[int] = set()
+    for _ in range(20):  # on a busy machine one worker may have done all before the other one wakes up
+        processes |= {process for _, process in two.map_unordered(process_of, [0.1] * 10, None)}
+        if len(processes) == 2:
+            break
     assert len(processes) == 2
     assert os.getpid() not in processes
 
