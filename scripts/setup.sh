@@ -71,6 +71,11 @@ if [[ $purpose == test ]]; then
     need fonts-dejavu-core has_font
     need libatomic1 has_library libatomic.so.1 # playwright
     install_needed "testing in a browser"
+    # Path tracing is several times as fast with a recent LLVM, and works without.
+    has_recent_llvm() { [[ $libraries =~ libLLVM(\.so\.|-)(19|2[0-9]) ]]; }
+    if ! has_recent_llvm && has_any_command apt-cache && [[ -n $(apt-cache madison libllvm19 2>/dev/null) ]]; then
+        install_packages libllvm19 || say "path tracing is faster with libllvm19: sudo apt-get install libllvm19"
+    fi
 fi
 
 # ---- Python packages
