@@ -23,10 +23,10 @@ from rich.console import Console
 from rich.table import Table
 
 from pipeline.bop.dataset import Dataset, open_dataset
-from pipeline.bop.evaluate import evaluate
-from pipeline.bop.pose_detection import evaluate_pose_detection
+from pipeline.bop.evaluation.evaluate import evaluate
+from pipeline.bop.evaluation.pose_detection import evaluate_pose_detection
+from pipeline.bop.evaluation.siso import evaluate_siso
 from pipeline.bop.results import Results, read_results, write_results
-from pipeline.bop.siso import evaluate_siso
 from pipeline.bop.vsd import vsd, vsd_of_poses
 from pipeline.ray_casting import _answer, _fill_rays, visible_box
 from pipeline.rendering import render_depths

@@ -23,9 +23,9 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pipeline.bop.columns import Execution
 from pipeline.bop.dataset import Dataset, open_dataset
-from pipeline.bop.evaluate import Evaluation, evaluate
+from pipeline.bop.evaluation.columns import Execution
+from pipeline.bop.evaluation.evaluate import Evaluation, evaluate
 from pipeline.bop.json_files import write_json_by_id
 from pipeline.bop.results import Results, read_results, write_results
 from pipeline.parallel import open_workers

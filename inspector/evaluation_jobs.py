@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-from pipeline.bop.leaderboard_jobs import StoredJob
+from pipeline.bop.leaderboard.jobs import StoredJob
 
 State = Literal["waiting", "running", "done", "failed", "cancelled"]
 

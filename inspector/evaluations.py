@@ -18,13 +18,13 @@ from typing import NamedTuple, Protocol, runtime_checkable
 from inspector.announcer import Announcer
 from inspector.evaluation_jobs import EndedError, Job, JobList, job_of
 from pipeline.bop import dataset as bop_dataset
-from pipeline.bop import evaluate as bop_evaluate
 from pipeline.bop.dataset import Dataset
-from pipeline.bop.evaluate import Evaluation
-from pipeline.bop.leaderboard import Leaderboard
-from pipeline.bop.leaderboard_fingerprint import fingerprint
-from pipeline.bop.leaderboard_jobs import JobStore
-from pipeline.bop.leaderboard_records import Submission
+from pipeline.bop.evaluation import evaluate as bop_evaluate
+from pipeline.bop.evaluation.evaluate import Evaluation
+from pipeline.bop.evaluation.fingerprint import fingerprint
+from pipeline.bop.leaderboard.jobs import JobStore
+from pipeline.bop.leaderboard.records import Submission
+from pipeline.bop.leaderboard.store import Leaderboard
 from pipeline.bop.results import Results
 from pipeline.exceptions import InputError
 

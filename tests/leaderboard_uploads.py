@@ -1,6 +1,6 @@
 """Results files that differ by a number, for tests of the leaderboard and for the processes that they start."""
 
-from pipeline.bop.leaderboard import Added, Leaderboard
+from pipeline.bop.leaderboard.store import Added, Leaderboard
 
 HEADER = "scene_id,im_id,obj_id,score,R,t,time"
 

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.bop.columns import Columns
 from pipeline.bop.dataset import Dataset, open_dataset
-from pipeline.bop.evaluate import localization_columns
+from pipeline.bop.evaluation.columns import Columns
+from pipeline.bop.evaluation.evaluate import localization_columns
 from pipeline.bop.results import Results
 from pipeline.exceptions import InputError, UnknownIdError
 from pipeline.recording import StageRecorder

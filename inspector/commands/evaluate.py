@@ -14,11 +14,11 @@ from tyro.conf import Positional, arg
 from pipeline.exceptions import FormatError, InputError
 
 if TYPE_CHECKING:
-    from pipeline.bop.columns import Execution
     from pipeline.bop.dataset import Dataset
-    from pipeline.bop.evaluation_files import AnyEvaluation
-    from pipeline.bop.over_datasets import Mean
-    from pipeline.bop.summary import Summary
+    from pipeline.bop.evaluation.columns import Execution
+    from pipeline.bop.evaluation.files import AnyEvaluation
+    from pipeline.bop.evaluation.over_datasets import Mean
+    from pipeline.bop.evaluation.summary import Summary
     from pipeline.parallel import Workers
 
 
@@ -77,8 +77,8 @@ def run(config: EvaluateConfig, console: Console | None = None) -> int:
     Of several files one that cannot be scored is told, and 2 returned; the others are scored all the same.
     """
     from inspector.commands.evaluation_report import report
-    from pipeline.bop.evaluation_files import summary_of, write_json
-    from pipeline.bop.over_datasets import means_over_datasets
+    from pipeline.bop.evaluation.files import summary_of, write_json
+    from pipeline.bop.evaluation.over_datasets import means_over_datasets
     from pipeline.parallel import open_workers
 
     console = console or Console()
@@ -116,8 +116,8 @@ def _content(summaries: "Sequence[Summary]", means: "Sequence[Mean]", files: int
 def _jobs(config: EvaluateConfig) -> list[_Job]:
     """What is to be done; raises InputError for whatever would come out only after hours of computing."""
     from pipeline.bop.dataset import open_dataset
-    from pipeline.bop.evaluation_files import check_writable
-    from pipeline.bop.over_datasets import check_once_each
+    from pipeline.bop.evaluation.files import check_writable
+    from pipeline.bop.evaluation.over_datasets import check_once_each
     from pipeline.bop.results_home import homes, named_split, parts_of
 
     if not config.results:
@@ -157,9 +157,9 @@ def _folders(config: EvaluateConfig) -> list[Path | None]:
 
 
 def _evaluated(config: EvaluateConfig, job: _Job, workers: "Workers", console: Console) -> "AnyEvaluation":
-    from pipeline.bop.columns import Execution
-    from pipeline.bop.evaluation_files import write_evaluation
-    from pipeline.bop.journal import forget_pieces
+    from pipeline.bop.evaluation.columns import Execution
+    from pipeline.bop.evaluation.files import write_evaluation
+    from pipeline.bop.evaluation.journal import forget_pieces
 
     journal = None if job.folder is None else job.folder / "unfinished"
     execution = Execution(workers, journal)
@@ -172,9 +172,9 @@ def _evaluated(config: EvaluateConfig, job: _Job, workers: "Workers", console: C
 
 
 def _detections(config: EvaluateConfig, job: _Job) -> "AnyEvaluation":
-    from pipeline.bop.coco_detection import evaluate_detections
-    from pipeline.bop.coco_results import read_detections
-    from pipeline.bop.evaluation_files import with_notes
+    from pipeline.bop.coco.detection import evaluate_detections
+    from pipeline.bop.coco.results import read_detections
+    from pipeline.bop.evaluation.files import with_notes
 
     detections = read_detections(job.file)
     if not len(detections):
@@ -186,10 +186,10 @@ def _detections(config: EvaluateConfig, job: _Job) -> "AnyEvaluation":
 
 
 def _poses(config: EvaluateConfig, job: _Job, execution: "Execution", console: Console) -> "AnyEvaluation":
-    from pipeline.bop.evaluate import evaluate
-    from pipeline.bop.evaluation_files import with_notes
-    from pipeline.bop.pose_detection import evaluate_pose_detection
-    from pipeline.bop.siso import evaluate_siso
+    from pipeline.bop.evaluation.evaluate import evaluate
+    from pipeline.bop.evaluation.files import with_notes
+    from pipeline.bop.evaluation.pose_detection import evaluate_pose_detection
+    from pipeline.bop.evaluation.siso import evaluate_siso
     from pipeline.bop.submission import check_submission
 
     checked = check_submission(job.dataset, job.file, config.task)

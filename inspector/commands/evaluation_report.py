@@ -10,8 +10,8 @@ from rich.markup import escape
 from rich.table import Table
 
 if TYPE_CHECKING:
-    from pipeline.bop.over_datasets import Mean
-    from pipeline.bop.summary import Named, Summary, Task
+    from pipeline.bop.evaluation.over_datasets import Mean
+    from pipeline.bop.evaluation.summary import Named, Summary, Task
 
 _COLUMNS: "Mapping[Task, Mapping[str, str]]" = {
     "localization": {

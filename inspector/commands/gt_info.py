@@ -14,7 +14,7 @@ from tyro.conf import Positional
 from pipeline.exceptions import InputError
 
 if TYPE_CHECKING:
-    from pipeline.bop.gt_info_plan import GtInfoOptions, Kind, Plan
+    from pipeline.bop.gt_info.plan import GtInfoOptions, Kind, Plan
 
 
 @dataclass(frozen=True)
@@ -52,8 +52,8 @@ class GtInfoConfig:
 
 def run(config: GtInfoConfig, console: Console | None = None) -> int:
     """Make what is asked for, tell what was made and return 0; 130 if interrupted. InputError is left to the caller."""
-    from pipeline.bop.gt_info_plan import check_nothing_is_overwritten, make_plan
-    from pipeline.bop.gt_info_run import is_interrupted, make_gt_info
+    from pipeline.bop.gt_info.plan import check_nothing_is_overwritten, make_plan
+    from pipeline.bop.gt_info.run import is_interrupted, make_gt_info
     from pipeline.parallel import open_workers
 
     console = console or Console()
@@ -76,7 +76,7 @@ def run(config: GtInfoConfig, console: Console | None = None) -> int:
 
 
 def _options(config: GtInfoConfig) -> "GtInfoOptions":
-    from pipeline.bop.gt_info_plan import GtInfoOptions
+    from pipeline.bop.gt_info.plan import GtInfoOptions
 
     if config.delta_mm is not None and not config.delta_mm >= 0:
         raise InputError(f"--delta-mm {config.delta_mm:g}: give millimetres from 0, such as 15")
@@ -92,7 +92,7 @@ def _options(config: GtInfoConfig) -> "GtInfoOptions":
 
 def _kinds(config: GtInfoConfig) -> "frozenset[Kind] | None":
     """What is asked for; None: all that is usual."""
-    from pipeline.bop.gt_info_plan import LISTS
+    from pipeline.bop.gt_info.plan import LISTS
 
     if not config.only:
         return None
@@ -102,8 +102,8 @@ def _kinds(config: GtInfoConfig) -> "frozenset[Kind] | None":
 
 def _words(plan: "Plan") -> Iterator[str]:
     """What is made, for people."""
-    from pipeline.bop.gt_info_scenes import STEMS
-    from pipeline.bop.gt_targets import list_path
+    from pipeline.bop.gt_info.scenes import STEMS
+    from pipeline.bop.gt_info.targets import list_path
 
     count = sum(sum(part.instances.values()) for part in plan.parts)
     if "masks" in plan.kinds:

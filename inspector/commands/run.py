@@ -70,8 +70,8 @@ class RunConfig:
 
 def run(config: RunConfig, console: Console | None = None) -> int:
     """Run the method and return the exit code: 1 if an image failed, 130 if interrupted. InputError is left to the caller."""
-    from pipeline.bop.chosen_targets import chosen_targets
     from pipeline.bop.dataset import open_dataset
+    from pipeline.bop.evaluation.chosen_targets import chosen_targets
     from pipeline.run import Run
 
     options: Any = config.options

@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from inspector.selection import Board, Grouping, Score
-from pipeline.bop.curves import VISIBILITY, Curves, curves
-from pipeline.bop.evaluate import Evaluation
-from pipeline.bop.scores import MSPD_THETAS_PX, THETAS, Scores
+from pipeline.bop.evaluation.curves import VISIBILITY, Curves, curves
+from pipeline.bop.evaluation.evaluate import Evaluation
+from pipeline.bop.evaluation.scores import MSPD_THETAS_PX, THETAS, Scores
 from pipeline.bop.vsd import TAUS
 
 

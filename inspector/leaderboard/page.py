@@ -10,7 +10,7 @@ from inspector.leaderboard.figures import Entry, figures
 from inspector.leaderboard.rows import table
 from inspector.leaderboard.service import LeaderboardService
 from inspector.selection import Filter, Grouping, Score, Selection
-from pipeline.bop.evaluate import Evaluation
+from pipeline.bop.evaluation.evaluate import Evaluation
 from pipeline.exceptions import InputError
 
 if TYPE_CHECKING:

@@ -6,10 +6,10 @@ from typing import Any
 from inspector.evaluations import Job
 from inspector.leaderboard.service import LeaderboardService
 from inspector.workspace import Workspace
+from pipeline.bop.evaluation.scores import Scores
 from pipeline.bop.facts import dataset_facts
-from pipeline.bop.leaderboard_records import Submission
-from pipeline.bop.leaderboard_table import AR_CORE, Board, Cell, Column, Row
-from pipeline.bop.scores import Scores
+from pipeline.bop.leaderboard.records import Submission
+from pipeline.bop.leaderboard.table import AR_CORE, Board, Cell, Column, Row
 
 NAMES = ("average", "vsd", "mssd", "mspd")
 

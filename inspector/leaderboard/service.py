@@ -7,10 +7,10 @@ from pathlib import Path
 
 from inspector.evaluations import EvaluationQueue, Job
 from inspector.workspace import Method, Workspace
-from pipeline.bop.evaluate import Evaluation
-from pipeline.bop.leaderboard import Leaderboard, default_folder
-from pipeline.bop.leaderboard_fingerprint import fingerprint
-from pipeline.bop.leaderboard_records import Submission
+from pipeline.bop.evaluation.evaluate import Evaluation
+from pipeline.bop.evaluation.fingerprint import fingerprint
+from pipeline.bop.leaderboard.records import Submission
+from pipeline.bop.leaderboard.store import Leaderboard, default_folder
 from pipeline.exceptions import InputError
 
 log = logging.getLogger(__name__)

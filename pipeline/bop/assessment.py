@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Int
 
 from pipeline.bop import errors
 from pipeline.bop.dataset import Dataset
-from pipeline.bop.matching import assign
+from pipeline.bop.evaluation.matching import assign
 from pipeline.bop.results import Results
 from pipeline.exceptions import InputError
 from pipeline.scene import GroundTruth, ImageKey, Model, PoseEstimate, Target

@@ -7,7 +7,7 @@ from opened_page import OpenedPage
 from tiny_dataset import FIRST, SECOND, claim, make_dataset, perfect, pose, results_of
 
 from pipeline.bop.dataset import open_dataset
-from pipeline.bop.evaluate import Evaluation, evaluate
+from pipeline.bop.evaluation.evaluate import Evaluation, evaluate
 from pipeline.bop.results import read_results, write_results
 
 

@@ -177,7 +177,7 @@ def test_an_interrupted_evaluation_goes_on_where_it_stopped(
 ):
     path, out = written(tmp_path, perfect()), tmp_path / "out"
     computed: list[int] = []
-    from pipeline.bop import evaluate as module
+    from pipeline.bop.evaluation import evaluate as module
 
     compute = module.errors_of_targets
 
@@ -187,7 +187,7 @@ def test_an_interrupted_evaluation_goes_on_where_it_stopped(
             raise KeyboardInterrupt
         return compute(dataset, results, targets, *options)
 
-    monkeypatch.setattr("pipeline.bop.columns.TARGETS_PER_PIECE", 1)
+    monkeypatch.setattr("pipeline.bop.evaluation.columns.TARGETS_PER_PIECE", 1)
     monkeypatch.setattr(module, "errors_of_targets", failing)
     with pytest.raises(KeyboardInterrupt):
         called(tiny, (path,), out=out, workers=1)
@@ -280,7 +280,7 @@ def test_a_place_that_cannot_be_written_is_refused_before_computing(
     tiny: Path, tmp_path: Path, option: str, monkeypatch: pytest.MonkeyPatch
 ):
     (tmp_path / "file").write_text("")
-    monkeypatch.setattr("pipeline.bop.evaluate.errors_of_targets", lambda *_: pytest.fail("computed first"))
+    monkeypatch.setattr("pipeline.bop.evaluation.evaluate.errors_of_targets", lambda *_: pytest.fail("computed first"))
     with pytest.raises(InputError, match=r"below[^.]*(/scores\.json)?: cannot be written"):
         called(tiny, (written(tmp_path, perfect()),), **{option: tmp_path / "file" / "below"})
 

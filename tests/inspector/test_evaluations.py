@@ -17,11 +17,11 @@ import pytest
 from inspector.announcer import Announcer
 from inspector.evaluations import EvaluationQueue
 from pipeline.bop.dataset import Dataset, open_dataset
-from pipeline.bop.evaluate import Evaluation, evaluate
-from pipeline.bop.leaderboard import Leaderboard
-from pipeline.bop.leaderboard_fingerprint import fingerprint
-from pipeline.bop.leaderboard_jobs import MOST_ATTEMPTS, JobStore
-from pipeline.bop.leaderboard_records import Submission
+from pipeline.bop.evaluation.evaluate import Evaluation, evaluate
+from pipeline.bop.evaluation.fingerprint import fingerprint
+from pipeline.bop.leaderboard.jobs import MOST_ATTEMPTS, JobStore
+from pipeline.bop.leaderboard.records import Submission
+from pipeline.bop.leaderboard.store import Leaderboard
 from pipeline.bop.results import write_results
 from pipeline.exceptions import FormatError, InputError, UnknownIdError
 from tests.tiny_dataset import ANNOTATED, FIRST, claim, make_dataset, moved, perfect, results_of
@@ -502,7 +502,7 @@ import sys, time
 from pathlib import Path
 from inspector.evaluations import EvaluationQueue
 from pipeline.bop.dataset import open_dataset
-from pipeline.bop.leaderboard import Leaderboard
+from pipeline.bop.leaderboard.store import Leaderboard
 
 def stuck(dataset, results, progress, *, with_vsd):
     progress(0.5)

@@ -18,8 +18,8 @@ from inspector.commands.record import RecordConfig
 from inspector.commands.record import run as run_record
 from inspector.commands.run import RunConfig, run
 from inspector.methods import METHODS
-from pipeline.bop.chosen_targets import chosen_targets
 from pipeline.bop.dataset import open_dataset
+from pipeline.bop.evaluation.chosen_targets import chosen_targets
 from pipeline.bop.results import read_results, write_results
 from pipeline.exceptions import FormatError, InputError, UnknownIdError
 from pipeline.recording import RecordingReader

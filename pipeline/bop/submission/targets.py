@@ -102,7 +102,7 @@ def check_counts(given: Given, asked: Asked, task: Task, dataset: Dataset) -> It
     """Whether there are as many estimates as BOP scores."""
     images = image_keys(given["scene_id"], given["im_id"])
     if task == "detection":
-        from pipeline.bop.detection_outcomes import most_estimates
+        from pipeline.bop.evaluation.detection_outcomes import most_estimates
 
         yield from _counts_of_images(given, asked, images, most_estimates(dataset))
     elif len(asked.targets):

@@ -5,8 +5,8 @@ import pytest
 
 from inspector.leaderboard.figures import Entry, figures
 from inspector.selection import Board
-from pipeline.bop.evaluate import Evaluation
-from pipeline.bop.scores import FoundInstances
+from pipeline.bop.evaluation.evaluate import Evaluation
+from pipeline.bop.evaluation.scores import FoundInstances
 
 
 def evaluation(method: str = "method", vsd: bool = True) -> Evaluation:

@@ -14,7 +14,7 @@ from inspector.opening import open_workspace
 from inspector.workspace import Method, Workspace
 from inspector.workspaces import Workspaces
 from pipeline.bop.dataset import open_dataset
-from pipeline.bop.evaluate import evaluate
+from pipeline.bop.evaluation.evaluate import evaluate
 from pipeline.bop.results import read_results, write_results
 from pipeline.exceptions import InputError
 

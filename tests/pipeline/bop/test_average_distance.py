@@ -7,9 +7,9 @@ import pytest
 import trimesh
 from scipy.spatial import cKDTree
 
-from pipeline.bop.average_distance import ad_recalls, is_symmetric
 from pipeline.bop.dataset import open_dataset
-from pipeline.bop.evaluate import evaluate
+from pipeline.bop.evaluation.average_distance import ad_recalls, is_symmetric
+from pipeline.bop.evaluation.evaluate import evaluate
 from pipeline.bop.results import read_results
 from tests.random_dataset import DIAMETERS, greedy, make_random, placed, read_scene, write_rows
 from tests.tiny_dataset import ANNOTATED, FIRST, claim, make_dataset, results_of

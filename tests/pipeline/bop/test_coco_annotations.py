@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.bop.coco_annotations import CocoImage, coco_document, coco_instance, run_lengths
+from pipeline.bop.coco.annotations import CocoImage, coco_document, coco_instance, run_lengths
 
 SHAPE = (6, 8)
 

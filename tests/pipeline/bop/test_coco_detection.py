@@ -9,10 +9,10 @@ from pycocotools import mask as coco_mask
 from pycocotools.coco import COCO
 from pycocotools.cocoeval import COCOeval
 
-from pipeline.bop.coco_detection import evaluate_detections
-from pipeline.bop.coco_results import read_detections
+from pipeline.bop.coco.detection import evaluate_detections
+from pipeline.bop.coco.results import read_detections
 from pipeline.bop.dataset import open_dataset
-from pipeline.bop.summary import Summary
+from pipeline.bop.evaluation.summary import Summary
 from pipeline.exceptions import FormatError, InputError, MissingFileError
 from tests.random_dataset import make_random
 

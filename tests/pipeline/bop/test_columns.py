@@ -15,10 +15,10 @@ import pytest
 from tiny_dataset import make_dataset, perfect
 from worker_functions import rows_of_results, slow_columns
 
-from pipeline.bop.columns import HERE, Columns, Execution, Piece, pieces
 from pipeline.bop.dataset import Dataset, open_dataset
-from pipeline.bop.evaluate import evaluate, localization_columns
-from pipeline.bop.journal import SUFFIX
+from pipeline.bop.evaluation.columns import HERE, Columns, Execution, Piece, pieces
+from pipeline.bop.evaluation.evaluate import evaluate, localization_columns
+from pipeline.bop.evaluation.journal import SUFFIX
 from pipeline.bop.results import Results, read_results
 from pipeline.exceptions import InputError
 from pipeline.parallel import Workers, open_workers
@@ -176,7 +176,7 @@ SCRIPT = """
 import sys
 from functools import partial
 from pathlib import Path
-from pipeline.bop.columns import Execution
+from pipeline.bop.evaluation.columns import Execution
 from pipeline.bop.dataset import open_dataset
 from pipeline.bop.results import read_results
 from pipeline.parallel import open_workers
@@ -222,9 +222,9 @@ MEMORY_SCRIPT = """
 import sys, tracemalloc
 from pathlib import Path
 from benchmarks import scaling
-from pipeline.bop.columns import Execution
+from pipeline.bop.evaluation.columns import Execution
 from pipeline.bop.dataset import open_dataset
-from pipeline.bop.evaluate import evaluate
+from pipeline.bop.evaluation.evaluate import evaluate
 from pipeline.bop.results import read_results
 
 scaling.IMAGES_PER_SCENE = 10  # a scene's files are parsed as a whole

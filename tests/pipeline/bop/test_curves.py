@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from pipeline.bop.curves import curves, curves_by, visibility_bins
 from pipeline.bop.dataset import open_dataset
-from pipeline.bop.evaluate import evaluate
+from pipeline.bop.evaluation.curves import curves, curves_by, visibility_bins
+from pipeline.bop.evaluation.evaluate import evaluate
+from pipeline.bop.evaluation.scores import FoundInstances, average_recalls
 from pipeline.bop.results import read_results
-from pipeline.bop.scores import FoundInstances, average_recalls
 from tests.conftest import REPOSITORY
 
 

@@ -9,7 +9,7 @@ import trimesh
 
 from pipeline.bop.dataset import open_dataset
 from pipeline.bop.errors import sphere_projections_overlap
-from pipeline.bop.evaluate import Evaluation, evaluate
+from pipeline.bop.evaluation.evaluate import Evaluation, evaluate
 from pipeline.bop.results import read_results
 from pipeline.bop.vsd import vsd_of_poses
 from pipeline.exceptions import FormatError, InputError

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.bop.dataset import open_dataset
-from pipeline.bop.gt_info import NO_BOX, view_instances
+from pipeline.bop.gt_info.views import NO_BOX, view_instances
 from pipeline.bop.vsd import vsd_of_poses
 from pipeline.exceptions import FormatError
 from pipeline.rendering import render_scene

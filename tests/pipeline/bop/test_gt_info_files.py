@@ -20,10 +20,11 @@ import pytest
 from rich.console import Console
 
 from inspector.commands.gt_info import GtInfoConfig, run
-from pipeline.bop import gt_info_image, gt_info_run
 from pipeline.bop.dataset import open_dataset
-from pipeline.bop.gt_info import view_instances
-from pipeline.bop.gt_info_plan import GtInfoOptions, make_plan
+from pipeline.bop.gt_info import image as gt_info_image
+from pipeline.bop.gt_info import run as gt_info_run
+from pipeline.bop.gt_info.plan import GtInfoOptions, make_plan
+from pipeline.bop.gt_info.views import view_instances
 from pipeline.exceptions import FormatError, InputError, MissingFileError, UnknownIdError
 from pipeline.scene import ImageKey
 from tests.conftest import REPOSITORY
@@ -492,7 +493,7 @@ COMMAND = """
 import sys, time
 from pathlib import Path
 from inspector.commands.gt_info import GtInfoConfig, run
-from pipeline.bop import gt_info_files
+from pipeline.bop.gt_info import files as gt_info_files
 write = gt_info_files.write_parts
 def slowly(path, parts):
     time.sleep(0.01)

@@ -11,8 +11,8 @@ from tiny_dataset import make_dataset, perfect
 from worker_functions import slow_columns
 
 from pipeline.bop.dataset import open_dataset
-from pipeline.bop.evaluation_name import EvaluationName, evaluation_of
-from pipeline.bop.journal import PieceJournal, forget_pieces
+from pipeline.bop.evaluation.journal import PieceJournal, forget_pieces
+from pipeline.bop.evaluation.name import EvaluationName, evaluation_of
 from pipeline.exceptions import InputError
 
 PIECES = {

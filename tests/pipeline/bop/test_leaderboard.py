@@ -14,17 +14,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.bop import leaderboard as leaderboard_module
-from pipeline.bop import leaderboard_database, leaderboard_table
 from pipeline.bop.dataset import open_dataset
-from pipeline.bop.evaluate import Evaluation, evaluate
-from pipeline.bop.leaderboard import Leaderboard, default_folder
-from pipeline.bop.leaderboard_database import Database
-from pipeline.bop.leaderboard_fingerprint import fingerprint
-from pipeline.bop.leaderboard_records import Submission, packed, unpacked
-from pipeline.bop.leaderboard_table import AR_CORE, CORE_DATASETS, Column
+from pipeline.bop.evaluation.evaluate import Evaluation, evaluate
+from pipeline.bop.evaluation.fingerprint import fingerprint
+from pipeline.bop.evaluation.scores import FoundInstances
+from pipeline.bop.leaderboard import database as leaderboard_database
+from pipeline.bop.leaderboard import store as leaderboard_module
+from pipeline.bop.leaderboard import table as leaderboard_table
+from pipeline.bop.leaderboard.database import Database
+from pipeline.bop.leaderboard.records import Submission, packed, unpacked
+from pipeline.bop.leaderboard.store import Leaderboard, default_folder
+from pipeline.bop.leaderboard.table import AR_CORE, CORE_DATASETS, Column
 from pipeline.bop.results import read_results, write_results
-from pipeline.bop.scores import FoundInstances
 from pipeline.exceptions import FormatError, InputError, MissingFileError, UnknownIdError
 from tests.tiny_dataset import ANNOTATED, FIRST, SECOND, claim, make_dataset, moved, perfect, results_of
 

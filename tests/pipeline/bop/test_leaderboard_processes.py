@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.bop.leaderboard import Leaderboard
+from pipeline.bop.leaderboard.store import Leaderboard
 from pipeline.exceptions import InputError
 from tests.leaderboard_uploads import add
 
@@ -26,7 +26,7 @@ PATIENCE = 60.0
 PRELUDE = """
 import sys
 from pathlib import Path
-from pipeline.bop.leaderboard import Leaderboard
+from pipeline.bop.leaderboard.store import Leaderboard
 from pipeline.exceptions import InputError
 from tests.leaderboard_uploads import add
 
@@ -124,7 +124,7 @@ for number in range(10**6):
 def test_a_process_killed_before_the_database_says_so_leaves_only_what_the_next_one_removes(tmp_path: Path):
     folder = tmp_path / "board"
     code = """
-from pipeline.bop.leaderboard_files import KeptFiles
+from pipeline.bop.leaderboard.files import KeptFiles
 import os, signal
 KeptFiles.keep = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
 add(board, 1)
@@ -141,7 +141,7 @@ add(board, 1)
 def test_a_file_that_is_being_added_elsewhere_is_not_taken_for_abandoned(tmp_path: Path):
     folder = tmp_path / "board"
     code = """
-from pipeline.bop import leaderboard
+from pipeline.bop.leaderboard import store as leaderboard
 read = leaderboard.results_of
 def wait(*given):
     print("staged", flush=True)
@@ -193,7 +193,7 @@ for use in (lambda: add(board, 2), lambda: board.edit(1, method="x"), lambda: bo
         use()
     except InputError as error:
         print(error)
-from pipeline.bop.leaderboard_jobs import JobStore
+from pipeline.bop.leaderboard.jobs import JobStore
 print(JobStore(board.folder).adopt())
 """
     try:

@@ -1,6 +1,6 @@
 import numpy as np
 
-from pipeline.bop.matching import assign, match
+from pipeline.bop.evaluation.matching import assign, match
 
 
 def test_each_estimate_takes_the_free_ground_truth_of_lowest_error_in_order_of_score():

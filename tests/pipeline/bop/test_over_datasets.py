@@ -2,8 +2,8 @@ from dataclasses import replace
 
 import pytest
 
-from pipeline.bop.over_datasets import challenge, check_once_each, means_over_datasets
-from pipeline.bop.summary import Summary
+from pipeline.bop.evaluation.over_datasets import challenge, check_once_each, means_over_datasets
+from pipeline.bop.evaluation.summary import Summary
 from pipeline.exceptions import InputError
 
 CORE = ("hb", "icbin", "itodd", "lmo", "tless", "tudl", "ycbv")

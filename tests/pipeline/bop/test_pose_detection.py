@@ -4,11 +4,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.bop.average_precision import average_precision
-from pipeline.bop.columns import Execution
 from pipeline.bop.dataset import open_dataset
-from pipeline.bop.detection_outcomes import LEFT_OUT, RIGHT, WRONG
-from pipeline.bop.pose_detection import PoseDetectionEvaluation, evaluate_pose_detection
+from pipeline.bop.evaluation.average_precision import average_precision
+from pipeline.bop.evaluation.columns import Execution
+from pipeline.bop.evaluation.detection_outcomes import LEFT_OUT, RIGHT, WRONG
+from pipeline.bop.evaluation.pose_detection import PoseDetectionEvaluation, evaluate_pose_detection
 from pipeline.bop.results import read_results
 from pipeline.exceptions import FormatError, InputError
 from tests.random_dataset import (
@@ -263,7 +263,7 @@ def test_lmo_on_real_estimates(lmo: Path):
 def test_pieces_do_not_change_the_scores(lmo: Path, monkeypatch: pytest.MonkeyPatch):
     results, dataset = read_results(lmo / "results" / "megapose_lmo-test.csv"), open_dataset(lmo)
     whole = evaluate_pose_detection(dataset, results)
-    monkeypatch.setattr("pipeline.bop.columns.TARGETS_PER_PIECE", 1)
+    monkeypatch.setattr("pipeline.bop.evaluation.columns.TARGETS_PER_PIECE", 1)
     in_pieces = evaluate_pose_detection(dataset, results, execution=Execution())
     assert in_pieces.summary.scores == whole.summary.scores
     assert (in_pieces.outcomes.row == whole.outcomes.row).all()

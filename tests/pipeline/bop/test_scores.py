@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from pipeline.bop.matching import match
-from pipeline.bop.scores import (
+from pipeline.bop.evaluation.matching import match
+from pipeline.bop.evaluation.scores import (
     MSPD_THETAS_PX,
     THETAS,
     FoundInstances,

@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.bop.curves import siso_curves
 from pipeline.bop.dataset import Dataset, open_dataset
+from pipeline.bop.evaluation.curves import siso_curves
+from pipeline.bop.evaluation.siso import SisoEvaluation, evaluate_siso
 from pipeline.bop.results import read_results
-from pipeline.bop.siso import SisoEvaluation, evaluate_siso
 from pipeline.exceptions import FormatError, InputError
 from pipeline.scene import ImageKey
 from tests.conftest import REPOSITORY

@@ -4,9 +4,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from pipeline.bop.evaluation.scores import Scores
 from pipeline.bop.facts import dataset_facts
-from pipeline.bop.leaderboard_records import KeptEvaluation, Submission
-from pipeline.bop.scores import Scores
+from pipeline.bop.leaderboard.records import KeptEvaluation, Submission
 
 CORE_DATASETS = ("lmo", "tless", "tudl", "icbin", "itodd", "hb", "ycbv")
 """The core datasets in the order of the benchmark's table (thesis sec. bop20)."""

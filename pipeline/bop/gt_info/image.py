@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from pipeline.bop.coco_annotations import CocoImage, CocoInstance, coco_instance
+from pipeline.bop.coco.annotations import CocoImage, CocoInstance, coco_instance
 from pipeline.bop.dataset import Dataset
-from pipeline.bop.gt_info import GtInfo, InstanceView, view_instances
-from pipeline.bop.gt_info_plan import Kind
+from pipeline.bop.gt_info.plan import Kind
+from pipeline.bop.gt_info.views import GtInfo, InstanceView, view_instances
 from pipeline.bop.images import read_depth, read_mask
 from pipeline.bop.models import read_model
 from pipeline.exceptions import FormatError

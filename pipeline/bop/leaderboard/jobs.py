@@ -6,8 +6,8 @@ import uuid
 from dataclasses import dataclass
 from pathlib import Path
 
-from pipeline.bop.leaderboard_database import Database
-from pipeline.bop.leaderboard_files import LockedFile, remove_abandoned
+from pipeline.bop.leaderboard.database import Database
+from pipeline.bop.leaderboard.files import LockedFile, remove_abandoned
 from pipeline.exceptions import InputError, UnknownIdError
 
 MOST_ATTEMPTS = 3

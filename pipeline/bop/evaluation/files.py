@@ -13,16 +13,16 @@ from typing import Any
 import numpy as np
 import orjson
 
-from pipeline.bop.columns import Columns
-from pipeline.bop.curves import SISO_THETAS, VISIBILITY, curves, curves_by, siso_curves
-from pipeline.bop.detection_outcomes import LEFT_OUT, RIGHT, THRESHOLDS, Outcomes
-from pipeline.bop.evaluate import Evaluation
+from pipeline.bop.evaluation.columns import Columns
+from pipeline.bop.evaluation.curves import SISO_THETAS, VISIBILITY, curves, curves_by, siso_curves
+from pipeline.bop.evaluation.detection_outcomes import LEFT_OUT, RIGHT, THRESHOLDS, Outcomes
+from pipeline.bop.evaluation.evaluate import Evaluation
+from pipeline.bop.evaluation.pose_detection import PoseDetectionEvaluation, Precisions
+from pipeline.bop.evaluation.scores import MSPD_THETAS_PX, THETAS, FoundInstances
+from pipeline.bop.evaluation.siso import TAUS as SISO_TAUS
+from pipeline.bop.evaluation.siso import SisoEvaluation, SisoTargets
+from pipeline.bop.evaluation.summary import Summary, counts
 from pipeline.bop.json_files import write_atomically
-from pipeline.bop.pose_detection import PoseDetectionEvaluation, Precisions
-from pipeline.bop.scores import MSPD_THETAS_PX, THETAS, FoundInstances
-from pipeline.bop.siso import TAUS as SISO_TAUS
-from pipeline.bop.siso import SisoEvaluation, SisoTargets
-from pipeline.bop.summary import Summary, counts
 from pipeline.bop.vsd import TAUS
 from pipeline.exceptions import InputError
 

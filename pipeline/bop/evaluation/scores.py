@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from pipeline.bop.matching import match_at
+from pipeline.bop.evaluation.matching import match_at
 
 THETAS = np.arange(0.05, 0.51, 0.05)
 """Thresholds of correctness for VSD, and for MSSD as fractions of the diameter.

@@ -18,7 +18,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from pipeline.bop.evaluation_name import EvaluationName
+from pipeline.bop.evaluation.name import EvaluationName
 from pipeline.exceptions import InputError
 
 log = logging.getLogger(__name__)

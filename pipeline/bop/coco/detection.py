@@ -11,11 +11,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pipeline.bop.coco_ground_truth import CocoTruth, Entry, read_coco_truth
-from pipeline.bop.coco_measures import compared, scores, scores_of_images, scores_of_objects
-from pipeline.bop.coco_results import Detections, Measure
+from pipeline.bop.coco.ground_truth import CocoTruth, Entry, read_coco_truth
+from pipeline.bop.coco.measures import compared, scores, scores_of_images, scores_of_objects
+from pipeline.bop.coco.results import Detections, Measure
 from pipeline.bop.dataset import Dataset
-from pipeline.bop.summary import Summary, counts
+from pipeline.bop.evaluation.summary import Summary, counts
 from pipeline.bop.target_lists import by_scene, target_list
 from pipeline.exceptions import FormatError, InputError
 from pipeline.scene import ImageKey

@@ -13,8 +13,8 @@ from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 
-from pipeline.bop.coco_ground_truth import CocoTruth, Entry
-from pipeline.bop.coco_results import Measure
+from pipeline.bop.coco.ground_truth import CocoTruth, Entry
+from pipeline.bop.coco.results import Measure
 
 P = ParamSpec("P")
 T = TypeVar("T")

@@ -16,8 +16,8 @@ import numpy as np
 from jaxtyping import Int
 
 from pipeline.bop.dataset import Dataset
-from pipeline.bop.evaluation_name import evaluation_of
-from pipeline.bop.journal import NoJournal, PieceJournal
+from pipeline.bop.evaluation.journal import NoJournal, PieceJournal
+from pipeline.bop.evaluation.name import evaluation_of
 from pipeline.bop.results import Results
 from pipeline.parallel import HERE as IN_THIS_PROCESS
 from pipeline.parallel import Workers

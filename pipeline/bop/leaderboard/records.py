@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pipeline.bop.evaluate import Evaluation
-from pipeline.bop.leaderboard_database import DamagedRowError
-from pipeline.bop.scores import FoundInstances, Scores
+from pipeline.bop.evaluation.evaluate import Evaluation
+from pipeline.bop.evaluation.scores import FoundInstances, Scores
+from pipeline.bop.leaderboard.database import DamagedRowError
 from pipeline.exceptions import FormatError, InputError
 
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pipeline.bop.dataset import Dataset
-from pipeline.bop.leaderboard_fingerprint import fingerprint
+from pipeline.bop.evaluation.fingerprint import fingerprint
 from pipeline.bop.results import Results
 from pipeline.program import program
 from pipeline.scene import Target

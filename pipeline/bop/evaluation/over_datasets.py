@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.bop.evaluation.summary import Named, Summary, Task
 from pipeline.bop.facts import dataset_facts, known_datasets
-from pipeline.bop.summary import Named, Summary, Task
 from pipeline.exceptions import InputError
 
 CHALLENGE_2017 = ("lm", "lmo", "icmi", "icbin", "tless", "ruapc", "tudl")

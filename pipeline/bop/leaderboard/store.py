@@ -13,10 +13,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from pipeline.bop.evaluate import Evaluation
-from pipeline.bop.leaderboard_database import Database
-from pipeline.bop.leaderboard_files import KeptFiles, LockedFile, results_of
-from pipeline.bop.leaderboard_records import (
+from pipeline.bop.evaluation.evaluate import Evaluation
+from pipeline.bop.evaluation.summary import time_per_image
+from pipeline.bop.leaderboard.database import Database
+from pipeline.bop.leaderboard.files import KeptFiles, LockedFile, results_of
+from pipeline.bop.leaderboard.records import (
     Added,
     KeptEvaluation,
     Submission,
@@ -30,9 +31,8 @@ from pipeline.bop.leaderboard_records import (
     submission_of,
     summary_of,
 )
-from pipeline.bop.leaderboard_table import Board, make_board
+from pipeline.bop.leaderboard.table import Board, make_board
 from pipeline.bop.results import Results, read_results
-from pipeline.bop.summary import time_per_image
 from pipeline.exceptions import InputError, UnknownIdError
 
 EVALUATION_VERSION = 1
@@ -210,7 +210,7 @@ class Leaderboard:
         Args:
             submission_id: What was evaluated.
             evaluation: What came out.
-            fingerprint: Of the dataset, from `leaderboard_fingerprint.fingerprint`.
+            fingerprint: Of the dataset, from `evaluation.fingerprint`.
             task: What was asked of the method.
             with_vsd: Whether VSD was asked for.
 

@@ -12,11 +12,11 @@ from operator import attrgetter
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.bop.average_distance import is_symmetric
 from pipeline.bop.dataset import Dataset
-from pipeline.bop.pair_errors import ad_of_pairs, mspd_of_pairs, mssd_of_pairs, vsd_of_pairs
+from pipeline.bop.evaluation.average_distance import is_symmetric
+from pipeline.bop.evaluation.pair_errors import ad_of_pairs, mspd_of_pairs, mssd_of_pairs, vsd_of_pairs
+from pipeline.bop.evaluation.scores import most_visible
 from pipeline.bop.results import Results
-from pipeline.bop.scores import most_visible
 from pipeline.exceptions import FormatError
 from pipeline.geometry import transform
 from pipeline.scene import Camera, GroundTruth, Target

@@ -16,13 +16,13 @@ from operator import attrgetter
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from pipeline.bop.columns import HERE, Columns, Execution, Progress
 from pipeline.bop.dataset import Dataset
-from pipeline.bop.pair_errors import vsd_of_pairs
+from pipeline.bop.evaluation.columns import HERE, Columns, Execution, Progress
+from pipeline.bop.evaluation.pair_errors import vsd_of_pairs
+from pipeline.bop.evaluation.scorable import check, why_no_depth
+from pipeline.bop.evaluation.summary import Summary, counts, time_per_image
+from pipeline.bop.evaluation.target_errors import annotations_of_target, best_poses
 from pipeline.bop.results import Results
-from pipeline.bop.scorable import check, why_no_depth
-from pipeline.bop.summary import Summary, counts, time_per_image
-from pipeline.bop.target_errors import annotations_of_target, best_poses
 from pipeline.bop.target_lists import target_list
 from pipeline.bop.targets import MIN_VISIBLE_FRACTION
 from pipeline.exceptions import InputError

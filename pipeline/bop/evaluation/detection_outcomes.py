@@ -8,14 +8,14 @@ from operator import attrgetter
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
-from pipeline.bop.columns import Columns
 from pipeline.bop.dataset import Dataset
-from pipeline.bop.detection_targets import demanded_instances
-from pipeline.bop.matching import match_at
-from pipeline.bop.pair_errors import mspd_of_pairs, mssd_of_pairs
+from pipeline.bop.evaluation.columns import Columns
+from pipeline.bop.evaluation.detection_targets import demanded_instances
+from pipeline.bop.evaluation.matching import match_at
+from pipeline.bop.evaluation.pair_errors import mspd_of_pairs, mssd_of_pairs
+from pipeline.bop.evaluation.scores import MSPD_THETAS_PX, THETAS
+from pipeline.bop.evaluation.target_errors import annotations_of_target, poses_of_rows
 from pipeline.bop.results import Results
-from pipeline.bop.scores import MSPD_THETAS_PX, THETAS
-from pipeline.bop.target_errors import annotations_of_target, poses_of_rows
 from pipeline.scene import Camera, GroundTruth, Target
 
 THETAS_MM = np.arange(2.0, 21.0, 2.0)

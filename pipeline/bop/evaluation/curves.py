@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from pipeline.bop.scores import FoundInstances, recalls
-from pipeline.bop.siso import SisoTargets
+from pipeline.bop.evaluation.scores import FoundInstances, recalls
+from pipeline.bop.evaluation.siso import SisoTargets
 
 VISIBILITY = np.arange(11) / 10
 """Limits of the bins of the visible fraction; the upper one belongs to the next bin, but 1 to the last."""

@@ -11,12 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.bop.average_distance import THETA, AdRecalls, ad_recalls
-from pipeline.bop.columns import HERE, Columns, Execution, Progress
 from pipeline.bop.dataset import Dataset
-from pipeline.bop.results import Results
-from pipeline.bop.scorable import check, why_no_depth
-from pipeline.bop.scores import (
+from pipeline.bop.evaluation.average_distance import THETA, AdRecalls, ad_recalls
+from pipeline.bop.evaluation.columns import HERE, Columns, Execution, Progress
+from pipeline.bop.evaluation.scorable import check, why_no_depth
+from pipeline.bop.evaluation.scores import (
     MSPD_THETAS_PX,
     THETAS,
     FoundInstances,
@@ -25,8 +24,9 @@ from pipeline.bop.scores import (
     average_recalls_by,
     found,
 )
-from pipeline.bop.summary import Summary, counts, time_per_image
-from pipeline.bop.target_errors import TargetErrors, errors_of_targets
+from pipeline.bop.evaluation.summary import Summary, counts, time_per_image
+from pipeline.bop.evaluation.target_errors import TargetErrors, errors_of_targets
+from pipeline.bop.results import Results
 from pipeline.scene import Target
 
 _PREFIX = "bop19_average_recall"

@@ -8,8 +8,8 @@ from typing import Any, Literal
 from pipeline.bop import layout
 from pipeline.bop.dataset import open_dataset
 from pipeline.bop.facts import dataset_facts
-from pipeline.bop.gt_info_scenes import SCENE_KINDS, SceneKind, ScenePart, find_parts
-from pipeline.bop.gt_targets import list_path
+from pipeline.bop.gt_info.scenes import SCENE_KINDS, SceneKind, ScenePart, find_parts
+from pipeline.bop.gt_info.targets import list_path
 from pipeline.exceptions import InputError, MissingFileError, UnknownIdError
 
 ListKind = Literal["bop19", "bop24"]

@@ -19,14 +19,21 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.bop.average_precision import average_precision
-from pipeline.bop.columns import HERE, Execution, Progress
 from pipeline.bop.dataset import Dataset
-from pipeline.bop.detection_outcomes import LEFT_OUT, RIGHT, THRESHOLDS, Outcomes, detection_columns, most_estimates
-from pipeline.bop.detection_targets import detection_targets
+from pipeline.bop.evaluation.average_precision import average_precision
+from pipeline.bop.evaluation.columns import HERE, Execution, Progress
+from pipeline.bop.evaluation.detection_outcomes import (
+    LEFT_OUT,
+    RIGHT,
+    THRESHOLDS,
+    Outcomes,
+    detection_columns,
+    most_estimates,
+)
+from pipeline.bop.evaluation.detection_targets import detection_targets
+from pipeline.bop.evaluation.scorable import check, check_ground_truth
+from pipeline.bop.evaluation.summary import Named, Summary, counts, time_per_image
 from pipeline.bop.results import Results
-from pipeline.bop.scorable import check, check_ground_truth
-from pipeline.bop.summary import Named, Summary, counts, time_per_image
 from pipeline.bop.target_lists import by_scene, target_list
 from pipeline.exceptions import InputError
 from pipeline.scene import ImageKey

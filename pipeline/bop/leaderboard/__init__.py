@@ -1,0 +1,1 @@
+"""The leaderboard: results files that were handed in, their evaluations, and the table of both."""
