@@ -16,9 +16,9 @@ import pytest
 from tiny_dataset import ANNOTATED, FIRST, SECOND, claim, make_dataset, moved, perfect, results_of
 from worker_functions import fail, process_of, slow_columns, square, threads
 
-from pipeline.bop.columns import Execution
 from pipeline.bop.dataset import open_dataset
-from pipeline.bop.evaluate import evaluate
+from pipeline.bop.evaluation.columns import Execution
+from pipeline.bop.evaluation.evaluate import evaluate
 from pipeline.bop.results import read_results
 from pipeline.exceptions import InputError, UnknownIdError
 from pipeline.parallel import Workers, cluster, open_workers
