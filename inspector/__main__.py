@@ -26,6 +26,8 @@ from inspector.commands.serve import ServeConfig
 from inspector.commands.serve import run as run_serve
 from inspector.commands.symmetries import SymmetriesConfig
 from inspector.commands.symmetries import run as run_symmetries
+from inspector.commands.synthesize import SynthesizeConfig
+from inspector.commands.synthesize import run as run_synthesize
 from pipeline.exceptions import InputError
 
 
@@ -39,6 +41,7 @@ def main() -> None:
         "record": (RecordConfig, run_record),
         "doctor": (DoctorConfig, run_doctor),
         "gt-info": (GtInfoConfig, run_gt_info),
+        "synthesize": (SynthesizeConfig, run_synthesize),
         "symmetries": (SymmetriesConfig, run_symmetries),
         "download": (DownloadConfig, run_download),
     }

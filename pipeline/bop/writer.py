@@ -52,7 +52,7 @@ def write_scene(
     infos: dict[int, Any] = {}
     for item in images:
         im_id = item.image.key.im_id
-        _write_files(folder, item, depth_scale_mm, rgb_suffix)
+        write_image_files(folder, item, depth_scale_mm, rgb_suffix)
         cameras[im_id] = camera_entry(item.image.camera, depth_scale_mm)
         if item.ground_truth is not None:
             truths[im_id] = [ground_truth_entry(truth) for truth in item.ground_truth]
@@ -95,7 +95,11 @@ def _pose_entry(pose: Float[np.ndarray, "4 4"], frames: str) -> dict[str, list[f
     return {f"cam_R_{frames}": rotation.ravel().tolist(), f"cam_t_{frames}": millimetres(pose[:3, 3]).tolist()}
 
 
-def _write_files(folder: Path, item: AnnotatedImage, depth_scale_mm: float, rgb_suffix: str) -> None:
+def write_image_files(folder: Path, item: AnnotatedImage, depth_scale_mm: float, rgb_suffix: str) -> None:
+    """Write colour, depth and masks of an image into the scene's folder, and none of its JSON files.
+
+    Raises InputError if a depth does not fit or a file cannot be written.
+    """
     name = f"{item.image.key.im_id:06d}"
     if item.image.rgb is not None:
         _write_image(folder / "rgb" / f"{name}{rgb_suffix}", cv2.cvtColor(item.image.rgb, cv2.COLOR_RGB2BGR))

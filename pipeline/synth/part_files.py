@@ -1,5 +1,6 @@
 """The parts as a BOP `models` folder: PLY files in millimetres and `models_info.json`."""
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ import numpy as np
 from pipeline.bop.json_files import write_atomically, write_json_by_id
 from pipeline.bop.models import diameter_of
 from pipeline.scene import Model
+from pipeline.symmetry import symmetry_transforms
 from pipeline.synth.parts import PARTS, part_mesh, symmetry_info
 from pipeline.synth.solids import PartMesh
 
@@ -41,6 +43,14 @@ def part_model(obj_id: int) -> Model:
     mesh = part_mesh(obj_id)
     vertices = mesh.vertices_mm.astype(np.float64) / 1000.0
     return Model(obj_id, vertices, mesh.faces, diameter_of(vertices))
+
+
+@cache
+def part_display_model(obj_id: int) -> Model:
+    """The same with normals, colours and symmetries."""
+    mesh, shape = part_mesh(obj_id), part_model(obj_id)
+    symmetries = symmetry_transforms(symmetry_info(PARTS[obj_id - 1]))
+    return replace(shape, symmetries=symmetries, normals=mesh.normals.astype(np.float64), colors=mesh.colors)
 
 
 def _write_info(folder: Path) -> None:

@@ -15,9 +15,9 @@ import orjson
 
 from pipeline.bop.coco.annotations import CocoImage, coco_document
 from pipeline.bop.gt_info.image import ImageRecord, ImageTask, MadeImage, image_task
-from pipeline.bop.gt_info.journal import Journal, Line, cannot_write
 from pipeline.bop.gt_info.plan import Plan
 from pipeline.bop.gt_info.scenes import ScenePart, mask_name
+from pipeline.bop.journal import Journal, Line, cannot_write
 from pipeline.scene import ImageKey
 
 _LEFTOVER = re.compile(r"\.(\d+_\d+\.png|scene_gt_.+\.json|\w+_targets_\w+\.json)\.\d+\.\d+")

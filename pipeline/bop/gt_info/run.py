@@ -10,10 +10,10 @@ from pathlib import Path
 from pipeline.bop.dataset import open_dataset
 from pipeline.bop.gt_info.files import SceneMaker, journal_path, remove_leftovers
 from pipeline.bop.gt_info.image import ImageTask, Recipe, make_image
-from pipeline.bop.gt_info.journal import Journal
 from pipeline.bop.gt_info.plan import Plan, check_nothing_is_overwritten
 from pipeline.bop.gt_info.scenes import ScenePart
 from pipeline.bop.gt_info.targets import detection_images, list_path, localization_targets, write_detection_images
+from pipeline.bop.journal import Journal
 from pipeline.bop.writer import write_targets
 from pipeline.exceptions import InputError
 from pipeline.parallel import HERE, Workers

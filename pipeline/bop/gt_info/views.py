@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from pipeline.bop.vsd import DELTA, vsd
-from pipeline.rendering import Rendering, render, render_scene
+from pipeline.rendering import Rendering, SceneRendering, render, render_scene
 from pipeline.scene import Camera, Model
 
 BoundingBox = tuple[int, int, int, int]
@@ -83,6 +83,26 @@ def view_instances(
     return [_view(model, pose, camera, rendering, depth, delta) for (model, pose), rendering in pairs]
 
 
+def exact_instances(
+    models_and_poses: Sequence[tuple[Model, Float[np.ndarray, "4 4"]]],
+    camera: Camera,
+    scene: SceneRendering,
+    depth: Float[np.ndarray, "H W"],
+    pixel_center: float,
+) -> list[InstanceView]:
+    """Measure the instances of a synthetic image: what is visible is known, pixel by pixel.
+
+    `scene` begins with the given instances and may go on with what else is there; it was rendered with this pixel
+    centre. `depth` is the measured one (metres, 0 where not measured).
+    """
+    views = []
+    for index, (posed, rendering) in enumerate(zip(models_and_poses, scene.renderings, strict=False)):
+        visible = scene.instance_ids[rendering.box.slices] == index
+        measured = depth[rendering.box.slices] > 0
+        views.append(InstanceView(_info(posed, camera, rendering, visible, measured, pixel_center), rendering, visible))
+    return views
+
+
 class _Extent(NamedTuple):
     """Size and bounds of a silhouette or of a part of it; the last column and row are in it."""
 
@@ -103,18 +123,29 @@ def _view(
 ) -> InstanceView:
     compared = vsd(rendering, rendering, depth, camera.K, diameter=1.0, taus=(), delta=delta)
     visible = compared.visible_gt
+    info = _info((model, pose), camera, rendering, visible, compared.distance_test > 0)
+    return InstanceView(info, rendering, visible)
+
+
+def _info(
+    posed: tuple[Model, Float[np.ndarray, "4 4"]],
+    camera: Camera,
+    rendering: Rendering,
+    visible: Bool[np.ndarray, "h w"],
+    measured: Bool[np.ndarray, "h w"],
+    pixel_center: float = 0.5,
+) -> GtInfo:
     inside = _extent(rendering.mask_crop, rendering.box.x0, rendering.box.y0)
-    parts = [*inside, *(_beyond(model, pose, camera) if _may_reach_out(rendering) else ())]
+    parts = [*inside, *(_beyond(*posed, camera, pixel_center) if _may_reach_out(rendering) else ())]
     count, count_visible = sum(part.pixels for part in parts), int(np.count_nonzero(visible))
-    info = GtInfo(
+    return GtInfo(
         bbox_obj=_bounding_box(parts if count_visible else []),
         bbox_visib=_bounding_box(_extent(visible, rendering.box.x0, rendering.box.y0)),
         px_count_all=count,
-        px_count_valid=int(np.count_nonzero(rendering.mask_crop & (compared.distance_test > 0))),
+        px_count_valid=int(np.count_nonzero(rendering.mask_crop & measured)),
         px_count_visib=count_visible,
         visib_fract=count_visible / count if count else 0.0,
     )
-    return InstanceView(info, rendering, visible)
 
 
 def _may_reach_out(rendering: Rendering) -> bool:
@@ -124,7 +155,7 @@ def _may_reach_out(rendering: Rendering) -> bool:
     return not (0 < x0 < x1 < width and 0 < y0 < y1 < height)
 
 
-def _beyond(model: Model, pose: Float[np.ndarray, "4 4"], camera: Camera) -> Iterator[_Extent]:
+def _beyond(model: Model, pose: Float[np.ndarray, "4 4"], camera: Camera, pixel_center: float) -> Iterator[_Extent]:
     """The silhouette in the eight neighbours of the image, which with it make up BOP's canvas; bounds from its corner.
 
     One after the other they take no more memory than the image, and the image itself is rendered as it always is.
@@ -134,7 +165,9 @@ def _beyond(model: Model, pose: Float[np.ndarray, "4 4"], camera: Camera) -> Ite
             if (row, column) != (0, 0):
                 x, y = column * camera.width, row * camera.height
                 shift = np.array([[1.0, 0, -x], [0, 1.0, -y], [0, 0, 1.0]])
-                part = render(model, Camera(shift @ camera.K, camera.width, camera.height), pose)
+                part = render(
+                    model, Camera(shift @ camera.K, camera.width, camera.height), pose, pixel_center=pixel_center
+                )
                 yield from _extent(part.mask_crop, x + part.box.x0, y + part.box.y0)
 
 

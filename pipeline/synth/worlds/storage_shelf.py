@@ -17,12 +17,15 @@ BIN = (0.30, 0.42, 0.25)
 WALL = 0.012
 LIP = 0.03
 """Height of the edge at the front of a bin."""
+TOTE = (0.36, 0.26, 0.11)
+"""Inside width, depth and height of the box on the trolley."""
+TOTE_WALL = 0.006
 FIRST = 0.55
 """Height of the lowest bins' bottom."""
 
 
 def storage_shelf(seed: int) -> World:
-    """Stages: one per bin (`bin A1` at the upper left to `bin C4`), and a trolley."""
+    """Stages: one per bin (`bin A1` at the upper left to `bin D3`), a trolley, and an open `tote` on it."""
     rng = np.random.default_rng([seed, 6])
     scene = Furnished(SIZE, rng)
     floor = textured(surfaces.concrete(rng, (158, 158, 156)), 0.5, 0.4)
@@ -82,6 +85,22 @@ def _bin(scene: Furnished, at: np.ndarray, row: int, column: int, total: float) 
         scene.scatter(kit, bottom, (-width / 2 + 0.01, -0.115), (width / 2 - 0.01, -0.015), 3)
 
 
+def _tote(scene: Furnished, at: np.ndarray) -> None:
+    """An open plastic box, from which a robot picks: full of parts it is as hard as it gets."""
+    width, depth, height = TOTE
+    outer, rim = width + 2 * TOTE_WALL, TOTE_WALL / 2
+    long = [box(outer, TOTE_WALL, height).moved(0, side * (depth / 2 + rim)) for side in (-1, 1)]
+    short = [box(TOTE_WALL, depth, height).moved(side * (width / 2 + rim), 0) for side in (-1, 1)]
+    bottom = box(width, depth, TOTE_WALL, 0.0005)
+    colors = [(52, 84, 140), (92, 96, 100), (150, 44, 40), (46, 110, 88)]
+    plastic = paint(*colors[int(scene.rng.integers(len(colors)))], roughness=0.55)
+    scene.put([joined([*long, *short, bottom]).piece("tote", plastic)], at)
+    stage = at @ frame(z=TOTE_WALL)
+    margin = 0.005
+    corner = (width / 2 - margin, depth / 2 - margin)
+    scene.stage("tote", stage, (-corner[0], -corner[1]), corner, 0.9)
+
+
 def _room(scene: Furnished) -> None:
     """Shelves with cartons on the other walls, a trolley with a free top."""
     rng = scene.rng
@@ -95,5 +114,6 @@ def _room(scene: Furnished) -> None:
     at = frame(3.3, 1.75, turn_deg=float(rng.uniform(-10, 10)))
     gray = textured(surfaces.speckled(rng, (92, 96, 100)), 0.6)
     scene.put(furniture.table(0.6, 0.9, 0.8, gray, paint(190, roughness=0.3, metallic=0.9)), at)
-    scene.stage("trolley", at @ frame(z=0.8), (-0.27, -0.42), (0.27, 0.42), 0.9)
+    scene.stage("trolley", at @ frame(z=0.8), (-0.27, 0.02), (0.27, 0.42), 0.9)
+    _tote(scene, at @ frame(0.0, -0.2, 0.8))
     scene.put(rooms.door(rng, paint(200, 202, 200, roughness=0.45)), scene.wall("east", 2.6))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.bop.gt_info.journal import Journal
+from pipeline.bop.journal import Journal
 from pipeline.exceptions import InputError
 
 
