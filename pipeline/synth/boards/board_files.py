@@ -9,11 +9,13 @@ Corners are those of the black square, in the board frame, clockwise from the up
 
 from __future__ import annotations
 
-import io
 import json
+import struct
+import zlib
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
 from pipeline.bop.json_files import read_json_object, write_atomically
@@ -22,6 +24,8 @@ from pipeline.synth.boards.marker_board import TOP, MarkerBoard
 
 UNITS = {"m": 1.0, "mm": 0.001}
 METRES_PER_INCH = 0.0254
+HEADER = 33
+"""Bytes of a PNG before its second chunk."""
 
 
 def write_board(path: Path, board: MarkerBoard) -> None:
@@ -99,10 +103,9 @@ def write_picture(path: Path, board: MarkerBoard, dpi: float = 600.0, face: str 
 
     The pixels are square and the file states whole pixels per metre, so the scale is exact. Raises `InputError`.
     """
-    from PIL import Image
-
-    px_per_metre = round(dpi / METRES_PER_INCH)  # what a PNG can say
-    exact_dpi = px_per_metre * METRES_PER_INCH
-    file = io.BytesIO()
-    Image.fromarray(board.picture(px_per_metre, face)).save(file, "PNG", dpi=(exact_dpi, exact_dpi))
-    write_atomically(path, file.getvalue())
+    px_per_metre = round(dpi / METRES_PER_INCH)
+    _, encoded = cv2.imencode(".png", board.picture(px_per_metre, face))
+    png = encoded.tobytes()
+    content = b"pHYs" + struct.pack(">IIB", px_per_metre, px_per_metre, 1)  # PNG 1.2, 11.3.5.3: pixels per metre
+    chunk = struct.pack(">I", len(content) - 4) + content + struct.pack(">I", zlib.crc32(content))
+    write_atomically(path, png[:HEADER] + chunk + png[HEADER:])

@@ -48,7 +48,7 @@ class BoardScene:
     def world(self, turn_deg: float = 0.0) -> World:
         """The world with the turntable turned so far, counter-clockwise seen from above; a new one each time.
 
-        Its frame is the board's, its stage `board` the free middle.
+        Its frame is the board's, its one stage, `board`, what `stage` gives.
         """
         board_from_room = frame(turn_deg=-turn_deg) @ np.linalg.inv(self.room_from_board)
         pieces = [*placed(self.room.pieces, board_from_room), *self.turning]
@@ -58,8 +58,9 @@ class BoardScene:
 
     @cached_property
     def stage(self) -> Stage:
-        """The free middle; its frame is the board frame."""
-        polygon = np.array(self.board.free) / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1.0]])
+        """The free middle, or the whole board where it has none; its frame is the board frame."""
+        extent = self.board.free if min(self.board.free) > 0 else self.board.size
+        polygon = np.array(extent) / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1.0]])
         return Stage(STAGE, polygon, np.eye(4), FREE_HEIGHT)
 
     @property
@@ -76,11 +77,10 @@ def board_scene(
 ) -> BoardScene:
     """Set a board up on a turntable; the seed decides on the room, its light, and the middle where it is not given.
 
-    `with_screen` puts up the black screen of T-LESS's training images; render them with `EXPOSED_FOR_BOARD`. Raises `InputError` for a board that the
-    table is too small for or that has no free middle.
+    `with_screen` puts up the black screen of T-LESS's training images; render them with `EXPOSED_FOR_BOARD`.
+
+    Raises `InputError` for a board that the table is too small for.
     """
-    if min(board.free) <= 0:
-        raise InputError("marker board without a free middle: nothing can stand on it; make it with framed_board")
     if disc_radius(board) > lab.MOST_RADIUS:
         raise InputError(
             f"marker board of {board.size[0]:.3g} x {board.size[1]:.3g} m is too large for the table;"

@@ -115,4 +115,5 @@ def _line(
 def _cut(lines: Float[np.ndarray, "n 4 3"]) -> Float[np.ndarray, "n 4 2"]:
     """Each corner is where the edge that ends there meets the one that begins."""
     point = np.cross(np.roll(lines, 1, axis=1), lines)
-    return point[..., :2] / point[..., 2:]
+    with np.errstate(divide="ignore", invalid="ignore"):  # edges that do not meet: the corner is lost
+        return point[..., :2] / point[..., 2:]

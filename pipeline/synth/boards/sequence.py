@@ -7,6 +7,7 @@
         tracer = PathTracer(turn.world, objects)
         for seen in turn.cameras:
             rgb = tracer.render(seen, inverse(seen.world_from_camera))
+        del tracer  # Mitsuba compiles no code anew for a scene like one that is gone
 
 World poses are in the board frame, so `arrangement.world_from_models` holds in every image.
 """

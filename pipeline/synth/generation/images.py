@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Float32, UInt8
@@ -46,6 +46,7 @@ class SyntheticImage:
         return tuple(truths), tuple(views[i] for i in seen)
 
 
+@runtime_checkable
 class ImageSet(Protocol):
     """Images that are made at one go, because they share what is costly to set up."""
 
