@@ -20,9 +20,9 @@ from rich.table import Table
 
 from pipeline.geometry import inverse, transform
 from pipeline.scene import Camera
+from pipeline.synth.cameras import CameraRanges, sample_view
 from pipeline.synth.materials import random_material
 from pipeline.synth.part_files import part_model
-from pipeline.synth.scenes import looking
 from pipeline.synth.tracing.denoising import denoise
 from pipeline.synth.tracing.mitsuba_scene import Object
 from pipeline.synth.tracing.mitsuba_variant import mitsuba
@@ -69,12 +69,12 @@ def camera_about(world: World, stage: Stage, rng: np.random.Generator, config: C
     focal = 0.9 * config.width
     K = np.array([[focal, 0, config.width / 2 - 0.5], [0, focal, config.height / 2 - 0.5], [0, 0, 1.0]])
     centre = stage.world_from_stage[:3, 3]
+    ranges = CameraRanges(elevation_deg=(20, 60), distance=(0.5, 1.0), roll_deg=(0, 0))
     for _ in range(500):
-        azimuth, elevation = rng.uniform(0, 2 * np.pi), np.radians(rng.uniform(20, 60))
-        away = np.array([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)])
-        eye = centre + rng.uniform(0.5, 1.0) * away
+        pose = sample_view(ranges, centre, rng)
+        eye = pose[:3, 3]
         if (eye > world.room[0]).all() and (eye < world.room[1]).all() and world.clearance(eye[None])[0] > 0.08:
-            return Camera(K, config.width, config.height), inverse(looking(eye, centre))
+            return Camera(K, config.width, config.height), inverse(pose)
     raise RuntimeError(f"no camera about {stage.name}")
 
 

@@ -21,6 +21,13 @@ CHROMIUM_ARGUMENTS = [
     "--disable-sync",
 ]
 SIZE = {"width": 1440, "height": 810}
+SYNTHESIZED = (
+    "test/000001/rgb/000002",
+    "test/000002/rgb/000003",
+    "test/000003/rgb/000007",
+    "val_turntable/000001/rgb/000003",
+)
+"""Images of the demo that stand side by side."""
 PICTURES = {
     "image": ("row=3,2,3,6,-1&follow=1", []),
     "scene": ("row=2,7,5,4,-1&view=scene&display.others=1", ["Curves"]),
@@ -30,8 +37,18 @@ PICTURES = {
 """Name, what the address asks for, and the tab on the right."""
 
 
+def _save_synthesized() -> None:
+    """Put some images of the demo side by side."""
+    images = [Image.open(ROOT / "assets" / "demo" / f"{name}.jpg").resize((400, 300)) for name in SYNTHESIZED]
+    sheet = Image.new("RGB", (400 * len(images), 300))
+    for k, image in enumerate(images):
+        sheet.paste(image, (400 * k, 0))
+    sheet.save(OUT / "synthesis.jpg", quality=88)
+
+
 def main() -> None:
     """Start the server on the demo, take all pictures, and end it."""
+    _save_synthesized()
     folder = tempfile.TemporaryDirectory()
     command = [sys.executable, "-m", "inspector", "serve", "--port", "0", "--no-browser", "--leaderboard", folder.name]
     server = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)

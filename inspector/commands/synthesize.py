@@ -63,12 +63,25 @@ def run(config: SynthesizeConfig, console: Console | None = None) -> int:
     if config.config is None:
         _tell_names(console)
         return 0
-    from pipeline.synth.generation.config_file import read_config
-
     if config.out is None:
         raise InputError("no --out; give the folder of the dataset to be made")
+    _check_extra()
+    from pipeline.synth.generation.config_file import read_config
+
     asked = _changed(read_config(config.config), config)
     return _make(asked, config, console)
+
+
+def _check_extra() -> None:
+    """Raise InputError where the extra is not installed."""
+    from importlib.util import find_spec
+
+    missing = [name for name in ("mitsuba", "mitsuba_oidn", "mujoco", "manifold3d") if find_spec(name) is None]
+    if missing:
+        raise InputError(
+            f"synthesize needs {', '.join(missing)}, which the extra synth brings: "
+            ".venv/bin/pip install -c constraints.txt -e '.[synth]'"
+        )
 
 
 def _make(asked: SynthesisConfig, config: SynthesizeConfig, console: Console) -> int:
@@ -91,8 +104,12 @@ def _make(asked: SynthesisConfig, config: SynthesizeConfig, console: Console) ->
         console.print("interrupted; finished images are there, and the same command continues")
         return 130
     text = f"made in {_duration(time.monotonic() - begun)}" if made else "complete already; nothing to do"
-    console.print(f"{out}: {asked.images} images of {asked.split}, {text}", markup=False, soft_wrap=True, highlight=False)
-    console.print(f"look at it: inspector serve {out} --split {asked.split}", markup=False, soft_wrap=True, highlight=False)
+    console.print(
+        f"{out}: {asked.images} images of {asked.split}, {text}", markup=False, soft_wrap=True, highlight=False
+    )
+    console.print(
+        f"look at it: inspector serve {out} --split {asked.split}", markup=False, soft_wrap=True, highlight=False
+    )
     return 0
 
 

@@ -18,12 +18,22 @@ _OPEN3D = "open3d"
 
 _limited = threading.Lock()
 """Held for ever once this process is limited."""
+_limit: list[int] = []
+
+
+def thread_limit() -> int | None:
+    """How many threads a library may use in this process; None for as many as it likes."""
+    return _limit[0] if _limit else None
 
 
 def limit_threads(count: int) -> None:
-    """Let OpenCV and Open3D use as many threads, now and when Open3D is imported; only the first call counts."""
+    """Let OpenCV and Open3D use as many threads, now and when Open3D is imported; only the first call counts.
+
+    Libraries that are set up at one place only ask for `thread_limit` there.
+    """
     if not _limited.acquire(blocking=False):
         return
+    _limit.append(count)
     import cv2
 
     cv2.setNumThreads(count)

@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.synth.arranging import arrange
-from pipeline.synth.boards import MarkerBoard, board_scene, framed_board, turntable_views
 from pipeline.synth.boards import BoardScene as Turntable
+from pipeline.synth.boards import MarkerBoard, board_scene, framed_board, turntable_views
 from pipeline.synth.generation.config import BoardLayout, BoardScene
 from pipeline.synth.generation.images import SyntheticImage
 from pipeline.synth.generation.recipe import Recipe

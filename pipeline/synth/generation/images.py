@@ -94,4 +94,5 @@ class SyntheticRecord:
     @staticmethod
     def from_json(content: dict[str, Any]) -> SyntheticRecord:
         """The record that was written as JSON."""
-        return SyntheticRecord(**content | {"information": ImageRecord.from_json(content["information"])})
+        content["information"] = ImageRecord.from_json(content["information"])
+        return SyntheticRecord(**content)

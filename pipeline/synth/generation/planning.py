@@ -50,9 +50,7 @@ def make_recipes(config: SynthesisConfig) -> dict[int, Recipe[Any]]:
     return {scene_id: replace(made[scene], scene_id=scene_id) for scene_id, scene in config.scenes()}
 
 
-def _recipe(
-    config: SynthesisConfig, scene: TracedScene | PastedScene | BoardScene, library: ModelLibrary, camera: Camera
-) -> Recipe[Any]:
+def _recipe(config: SynthesisConfig, scene: Any, library: ModelLibrary, camera: Camera) -> Recipe[Any]:
     scene.check()
     _check(scene)
     return Recipe(

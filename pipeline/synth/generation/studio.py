@@ -18,6 +18,9 @@ from pipeline.synth.generation.recipe import Recipe
 from pipeline.synth.tracing.path_tracer import PathTracer
 from pipeline.synth.worlds import World
 
+STAGES: tuple[str, ...] = ("geometry", "colour", "sensor")
+"""Of one picture, as its times are told."""
+
 
 class Studio:
     """A world with objects in it, of which any number of pictures is taken."""
@@ -54,6 +57,6 @@ class Studio:
         times.append(time.perf_counter())
         depth = recipe.sensor.measure(view.rendering.depth, view.camera.K, recipe.rng(self._number, index, 2))
         times.append(time.perf_counter())
-        seconds = dict(zip(("geometry", "colour", "sensor"), np.diff(times).tolist(), strict=True))
+        seconds = dict(zip(STAGES, np.diff(times).tolist(), strict=True))
         objects = list(zip(self._models, view.camera_from_models, strict=True))[: self._annotated]
         return SyntheticImage(view.camera, rgb, depth, objects, view.rendering, seconds)

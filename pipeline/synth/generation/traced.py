@@ -40,11 +40,10 @@ class Arranged:
     @staticmethod
     def from_json(content: dict[str, Any]) -> Arranged:
         """What was written as JSON."""
-        poses = {name: np.array(content[name], float).reshape(-1, 4, 4) for name in _POSES}
-        return Arranged(**content | poses | {name: tuple(content[name]) for name in ("obj_ids", "focus")})
-
-
-_POSES = ("world_from_models", "world_from_cameras")
+        content["obj_ids"], content["focus"] = tuple(content["obj_ids"]), tuple(content["focus"])
+        for name in ("world_from_models", "world_from_cameras"):
+            content[name] = np.array(content[name], float).reshape(-1, 4, 4)
+        return Arranged(**content)
 
 
 def arranged(recipe: Recipe[TracedScene], index: int) -> Arranged:
@@ -52,6 +51,7 @@ def arranged(recipe: Recipe[TracedScene], index: int) -> Arranged:
 
     Raises InputError after a bounded number of tries; the text names what failed in the last one.
     """
+    failure: InputError | None = None
     for attempt in range(TRIES):
         try:
             return _attempt(recipe, index, attempt)

@@ -26,10 +26,10 @@ class Task(NamedTuple):
     set_index: int
     first: int
     """Position of the first image in its set."""
-    count: int
+    images: int
 
     def __str__(self) -> str:
-        return f"images {self.first} to {self.first + self.count - 1} of set {self.set_index} in scene {self.scene_id}"
+        return f"images {self.first} to {self.first + self.images - 1} of set {self.set_index} in scene {self.scene_id}"
 
 
 @dataclass
@@ -69,7 +69,7 @@ class Job:
 
 def make_images(job: Job, task: Task) -> None:
     """Make and write the task's images that are not finished. Raises InputError for what cannot be made or written."""
-    for position in range(task.first, task.first + task.count):
+    for position in range(task.first, task.first + task.images):
         key = job.key(task, position)
         if not job.store.is_finished(key):
             begun = time.perf_counter()

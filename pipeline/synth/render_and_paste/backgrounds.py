@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from pipeline.bop.images import image_size, read_rgb
+from pipeline.bop.json_files import read_bytes
 from pipeline.exceptions import FormatError, InputError, MissingFileError
 from pipeline.synth.render_and_paste.scenery import made_up_scenery
 
@@ -91,7 +92,9 @@ def _photo(path: Path, width: int, height: int) -> UInt8[np.ndarray, "h w 3"]:
     factor = max((f for f in _REDUCED if f <= min(columns / width, rows / height)), default=1)
     if factor == 1:
         return read_rgb(path)
-    image = cv2.imread(str(path), _REDUCED[factor] | cv2.IMREAD_IGNORE_ORIENTATION)
-    if image is None:
+    data = read_bytes(path)
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), _REDUCED[factor] | cv2.IMREAD_IGNORE_ORIENTATION)
+    cut_off = data.startswith(b"\xff\xd8") and b"\xff\xd9" not in data[-64:]  # OpenCV fills the rest with gray
+    if image is None or cut_off:
         raise FormatError(f"{path}: is no image or is cut off; get the file again")
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)

@@ -10,20 +10,27 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from threading import RLock
 from typing import Any
+from weakref import finalize
 
 from pipeline.gl_rendering import GL, GlError
+
+
+def require_opengl() -> None:
+    """Raise GlError where OpenGL does not work; the first call of a program tries it out in a child process: seconds."""
+    if not GL.available():
+        raise GlError("no OpenGL through EGL on this machine; install libegl1 and libgl1-mesa-dri")
 
 
 class GlContext:
     """A context; use it by `with context.current() as gl`, `gl` being PyOpenGL's functions."""
 
     def __init__(self) -> None:
-        """Create it. Raises GlError where OpenGL does not work (tried out in a child process first: seconds, once)."""
-        if not GL.available():
-            raise GlError("no OpenGL through EGL on this machine; install libegl1 and libgl1-mesa-dri")
+        """Create it. Raises GlError where OpenGL does not work."""
+        require_opengl()
         self._lock = RLock()
         self._pid = os.getpid()
         self._platform: Any = _new_platform()
+        self._destroy = finalize(self, _destroy, self._platform, self._pid)
         self._release()
 
     @contextmanager
@@ -48,21 +55,27 @@ class GlContext:
                 self._release()
 
     def close(self) -> None:
-        """Destroy it, with all that was uploaded; a second time does nothing.
-
-        Not by the platform's own method, which ends the display and so all other contexts of the program.
-        """
+        """Destroy it, with all that was uploaded; a second time does nothing. Also done when it is forgotten."""
         with self._lock:
-            platform, self._platform = self._platform, None
-        if platform is not None and self._pid == os.getpid():
-            from OpenGL.EGL import eglDestroyContext
-
-            eglDestroyContext(platform._egl_display, platform._egl_context)
+            self._platform = None
+            self._destroy()
 
     def _release(self) -> None:
         from OpenGL.EGL import EGL_NO_CONTEXT, EGL_NO_SURFACE, eglMakeCurrent
 
         eglMakeCurrent(self._platform._egl_display, EGL_NO_SURFACE, EGL_NO_SURFACE, EGL_NO_CONTEXT)
+
+
+def _destroy(platform: Any, pid: int) -> None:
+    """Destroy a context, but not by the platform's own method: that ends the display, and so all other contexts."""
+    from OpenGL.EGL import eglDestroyContext
+
+    display, platform._egl_display = (
+        platform._egl_display,
+        None,
+    )  # the method is called at deletion, and now does nothing
+    if pid == os.getpid():
+        eglDestroyContext(display, platform._egl_context)
 
 
 _first_process: list[int] = []

@@ -20,7 +20,7 @@ class LightRanges:
 
     lamps: tuple[int, int] = (1, 3)
     """At most 4."""
-    strength: tuple[float, float] = (0.2, 0.7)
+    strength: tuple[float, float] = (0.2, 0.6)
     """Of each lamp, before its colour."""
     ambient: tuple[float, float] = (0.2, 0.5)
     """Light from all sides; that from below is 40 to 100 % of that from above."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from threading import Lock
 from time import perf_counter
 from typing import Any
 
@@ -18,6 +19,7 @@ from pipeline.synth.augmentation import augment
 from pipeline.synth.cameras.visibility import silhouette_pixels
 from pipeline.synth.materials import random_color
 from pipeline.synth.render_and_paste.backgrounds import Backgrounds, MadeUpBackgrounds, PhotoFolder
+from pipeline.synth.render_and_paste.gl_context import require_opengl
 from pipeline.synth.render_and_paste.lights import LightRanges, sample_light
 from pipeline.synth.render_and_paste.pasting import PastedImage, merge, paste
 from pipeline.synth.render_and_paste.placing import sample_poses
@@ -26,6 +28,10 @@ from pipeline.synth.render_and_paste.settings import PasteSettings, PasteSetting
 from pipeline.synth.render_and_paste.shots import Painted
 
 Pose = Float[np.ndarray, "4 4"]
+
+
+_OPENING = Lock()
+"""Held while a context is made, so that threads share one."""
 
 
 class RenderAndPaste:
@@ -37,7 +43,11 @@ class RenderAndPaste:
     """
 
     def __init__(self, models: Sequence[Model], camera: Camera, settings: PasteSettings | None = None) -> None:
-        """Check everything. Raises PasteSettingsError, or MissingFileError for a folder without photographs."""
+        """Check everything.
+
+        Raises PasteSettingsError, MissingFileError for a folder without photographs, and GlError where OpenGL does not
+        work, which is tried out in a child process once per program: that takes seconds.
+        """
         if not models:
             raise PasteSettingsError("no models to render; give at least one")
         self._models = {model.obj_id: model for model in models}
@@ -50,6 +60,7 @@ class RenderAndPaste:
             MadeUpBackgrounds() if folder is None else PhotoFolder(folder, self._settings.crop)
         )
         self._rasterizer: Rasterizer | None = None
+        require_opengl()  # here, so that forked processes need not try it again
 
     def image(
         self,
@@ -61,7 +72,7 @@ class RenderAndPaste:
 
         Given objects are annotated in their order, also those that are hidden or out of sight. `camera` replaces that
         of the constructor for this image.
-        Raises UnknownIdError, PasteSettingsError for a pose that is not finite, GlError where OpenGL does not work.
+        Raises UnknownIdError, PasteSettingsError for a pose that is no finite 4x4 matrix, GlError where OpenGL does not work.
         """
         camera, clock = camera or self._camera, _Clock()
         with clock.stage("poses"):
@@ -99,16 +110,17 @@ class RenderAndPaste:
         return {**self.__dict__, "_rasterizer": None}
 
     def _opened(self) -> Rasterizer:
-        if self._rasterizer is None:
-            self._rasterizer = Rasterizer()
-        return self._rasterizer
+        with _OPENING:
+            if self._rasterizer is None:
+                self._rasterizer = Rasterizer()
+            return self._rasterizer
 
     def _given(self, poses: Sequence[tuple[int, Pose]]) -> list[tuple[Model, Pose]]:
         for obj_id, pose in poses:
             if obj_id not in self._models:
                 raise UnknownIdError("object", obj_id, "the models to render", self._models)
-            if not np.isfinite(pose).all():
-                raise PasteSettingsError(f"pose of object {obj_id} is not finite; give a camera_from_model in metres")
+            if np.shape(pose) != (4, 4) or not np.isfinite(pose).all():
+                raise PasteSettingsError(f"pose of object {obj_id} is no finite 4x4 matrix; give camera_from_model")
         return [(self._models[obj_id], pose) for obj_id, pose in poses]
 
     def _sampled(self, camera: Camera, rng: np.random.Generator) -> list[tuple[Model, Pose]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import colorsys
 from collections.abc import Callable
 from functools import lru_cache
+from math import cos, sin
 
 import cv2
 import numpy as np
@@ -16,12 +17,12 @@ Field = Float32[np.ndarray, "h w"]
 
 def random_color(rng: np.random.Generator) -> np.ndarray:
     """An 8-bit RGB colour as float, such as rooms have: half of them grayish, more light than dark, few garish."""
-    saturation = rng.uniform(0, 0.15) if rng.random() < 0.5 else rng.uniform(0.15, 0.7)
+    saturation = rng.uniform(0, 0.15) if rng.random() < 0.6 else rng.uniform(0.15, 0.65)
     hue = rng.normal(0.09, 0.06) if rng.random() < 0.4 else rng.random()  # many things are brown, red or beige
     return 255 * np.array(colorsys.hsv_to_rgb(hue % 1.0, saturation, 0.1 + 0.9 * rng.random() ** 0.7))
 
 
-def clouds(rng: np.random.Generator, width: int, height: int, octaves: int = 6, fading: float = 0.55) -> Field:
+def clouds(rng: np.random.Generator, width: int, height: int, octaves: int = 8, fading: float = 0.6) -> Field:
     """Noise of several octaves, 0..1: each twice as fine and `fading` times as strong as the one before."""
     total = np.zeros((height, width), np.float32)
     cells = int(rng.integers(2, 5))
@@ -61,13 +62,13 @@ def gradient(rng: np.random.Generator, width: int, height: int) -> RGB:
     if rng.random() < 0.5:
         along = _turned(x, y, rng)
         return colored(_stretched(along), rng, 3, 35.0)
-    u, v = rng.random(2) * [width, height]
+    u, v = rng.uniform(0, width), rng.uniform(0, height)
     return colored(_stretched(cv2.magnitude(x - u, y - v)), rng, 3, 35.0)
 
 
 def marble(rng: np.random.Generator, width: int, height: int) -> RGB:
     """Clouds of colour: plaster, stone, cloth."""
-    return colored(clouds(rng, width, height, fading=rng.uniform(0.4, 0.8)), rng, int(rng.integers(2, 6)), 45.0)
+    return colored(clouds(rng, width, height, fading=rng.uniform(0.5, 0.95)), rng, int(rng.integers(2, 6)), 60.0)
 
 
 def wood(rng: np.random.Generator, width: int, height: int) -> RGB:
@@ -78,7 +79,7 @@ def wood(rng: np.random.Generator, width: int, height: int) -> RGB:
     grain = clouds(rng, *small, 4) * rng.uniform(0.5, 3.0) + np.float32(0.37) * boards * (1 + boards)
     rings = np.sin((y / small[1] * rng.uniform(4, 12) + 2.5 * grain) * np.float32(2 * np.pi))
     shade = cv2.resize(0.2 * rings + 0.16 * np.sin(boards * 12.9898), (width, height))
-    shade += cv2.resize(rng.random((height, 8), np.float32), (width, height)) * 0.5
+    shade += cv2.resize(rng.random((height, 24), np.float32), (width, height)) * np.float32(0.6)
     tone = np.array(colorsys.hsv_to_rgb(rng.uniform(0.05, 0.11), rng.uniform(0.2, 0.6), rng.uniform(0.45, 1.0)))
     ramp = np.linspace(1.0, 1.0 - rng.uniform(0.25, 0.7), 256)[:, None] * tone * 255
     return _ramped(_stretched(shade), ramp)
@@ -89,14 +90,14 @@ def stripes(rng: np.random.Generator, width: int, height: int) -> RGB:
     along = _turned(*_grid(width, height), rng)
     colors = np.stack([random_color(rng) for _ in range(int(rng.integers(2, 5)))])
     edges = np.cumsum(rng.uniform(0.3, 1.0, len(colors)))
-    period = rng.uniform(12, 120) * edges[-1]
+    period = rng.uniform(6, 80) * edges[-1]
     table = colors[np.searchsorted(edges / edges[-1], np.arange(256) / 256)]
     return _painted((along * np.float32(256 / period)).astype(np.int32) & 255, table)
 
 
 def tiles(rng: np.random.Generator, width: int, height: int) -> RGB:
     """Tiles, bricks or a checkerboard, each tile a little different, with joints."""
-    size_x = rng.uniform(14, 110)
+    size_x = rng.uniform(10, 90)
     size_y = size_x * rng.choice([1.0, 1.0, 0.33, 0.5])
     table = random_color(rng) + rng.normal(0, rng.uniform(2, 25), (64, 64, 1)) + rng.normal(0, 4, (64, 64, 3))
     if size_x == size_y and rng.random() < 0.5:
@@ -115,7 +116,7 @@ def tiles(rng: np.random.Generator, width: int, height: int) -> RGB:
 def carpet(rng: np.random.Generator, width: int, height: int) -> RGB:
     """Fine grain: carpet, cork, concrete, gravel."""
     fine = rng.integers(0, 256, (height, width), np.uint8)
-    grain = cv2.GaussianBlur(fine, (0, 0), rng.uniform(0.6, 2.5)).astype(np.float32)
+    grain = cv2.GaussianBlur(fine, (0, 0), rng.uniform(0.6, 1.6)).astype(np.float32)
     grain = _stretched(grain)
     return colored(cv2.addWeighted(grain, 0.7, clouds(rng, width, height, 3), 0.3, 0.0), rng, 4, 35.0)
 
@@ -124,7 +125,7 @@ def printed(rng: np.random.Generator, width: int, height: int) -> RGB:
     """Paper with lines of what looks like print, headings and pictures."""
     rgb = np.full((height, width, 3), np.clip(random_color(rng) * 0.3 + 170, 0, 255).astype(np.uint8), np.uint8)
     ink = tuple(map(int, random_color(rng) * 0.4))
-    step = int(rng.integers(7, 22))
+    step = int(rng.integers(5, 18))
     for y in range(step, height - step, step):
         if rng.random() < 0.06:
             x0, x1 = sorted(map(int, rng.integers(0, width, 2)))
@@ -165,4 +166,4 @@ def _grid(width: int, height: int) -> tuple[Field, Field]:
 
 def _turned(x: Field, y: Field, rng: np.random.Generator) -> Field:
     angle = rng.uniform(0, np.pi)
-    return (np.cos(angle) * x + np.sin(angle) * y).astype(np.float32)
+    return cos(angle) * x + sin(angle) * y

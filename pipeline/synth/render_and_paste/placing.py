@@ -41,27 +41,37 @@ def sample_poses(
 ) -> list[tuple[Model, Float[np.ndarray, "4 4"]]]:
     """Draw models, with repetition, and `camera_from_model` of each, rounded as it is stored.
 
-    The middle of each object is seen inside the image; objects hardly ever run into each other.
+    The middle of each object is seen inside the image; objects hardly ever run into each other. Only the place in the
+    image gives way to that: from where objects are seen and how far away stays as uniform as it was drawn.
     """
     count = int(rng.integers(settings.objects[0], settings.objects[1], endpoint=True))
     placed: list[tuple[Model, np.ndarray]] = []
     balls: list[_Ball] = []
     for index in rng.integers(len(models), size=count):
         model = models[int(index)]
-        truncated = rng.random() < settings.truncated
-        best, least = None, np.inf
-        for _ in range(MOST_TRIES):
-            candidate, fits = _candidate(model, camera, settings, truncated, rng)
-            ball = _ball(model, candidate, camera)
-            trouble = sum(_trouble(ball, other, settings.min_visible) for other in balls) + (0.0 if fits else 10.0)
-            if trouble < least:
-                best, least = (candidate, ball), trouble
-            if trouble == 0.0:
-                break
-        assert best is not None
-        placed.append((model, rounded_pose(best[0])))
-        balls.append(best[1])
+        pose, ball = _placed(model, camera, settings, balls, rng)
+        placed.append((model, rounded_pose(pose)))
+        balls.append(ball)
     return placed
+
+
+def _placed(
+    model: Model, camera: Camera, settings: PasteSettings, others: list[_Ball], rng: np.random.Generator
+) -> tuple[Float[np.ndarray, "4 4"], _Ball]:
+    """The first pose that is in nobody's way, else the best of those tried."""
+    turned, truncated = _turned(model, camera, settings, rng), rng.random() < settings.truncated
+    reach = _limits(model, camera, turned) - camera.K[:2, 2]
+    best, least = None, np.inf
+    for _ in range(MOST_TRIES):
+        pose, fits = _candidate(model, camera, turned, reach, truncated, rng)
+        ball = _ball(model, pose, camera)
+        trouble = sum(_trouble(ball, other, settings.min_visible) for other in others) + (0.0 if fits else 10.0)
+        if trouble < least:
+            best, least = (pose, ball), trouble
+        if trouble == 0.0:
+            break
+    assert best is not None
+    return best
 
 
 @per_model
@@ -81,14 +91,14 @@ def _radius(model: Model) -> float:
 
 
 def _candidate(
-    model: Model, camera: Camera, settings: PasteSettings, truncated: bool, rng: np.random.Generator
+    model: Model, camera: Camera, turned: np.ndarray, reach: np.ndarray, truncated: bool, rng: np.random.Generator
 ) -> tuple[Float[np.ndarray, "4 4"], bool]:
-    """A pose, and whether the object is truncated as it should be, with its middle seen inside the image."""
-    turned = _turned(model, camera, settings, rng)
+    """A pose, and whether the object is truncated as it should be, with its middle seen inside the image.
+
+    `reach` is how far it reaches from its middle, in pixels, where it is straight ahead.
+    """
     size = np.array([camera.width, camera.height])
-    low, high = _limits(model, camera, turned)
-    ahead = camera.K[:2, 2]
-    center = _place(ahead - low, high - ahead, size, truncated, rng)
+    center = _place(-reach[0], reach[1], size, truncated, rng)
     camera_from_centered = _swing(camera, center) @ turned
     low, high = _limits(model, camera, camera_from_centered)
     outside = bool((low < 0).any() or (high > size - 1).any())
@@ -133,11 +143,11 @@ def _swing(camera: Camera, pixel: np.ndarray) -> Float[np.ndarray, "4 4"]:
     return transform(np.stack([x, down, z], axis=1), np.zeros(3))
 
 
-def _limits(model: Model, camera: Camera, camera_from_centered: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Least and largest pixel coordinates of an object."""
+def _limits(model: Model, camera: Camera, camera_from_centered: np.ndarray) -> Float[np.ndarray, "2 2"]:
+    """Least and largest pixel coordinates of an object, one row each."""
     hull = transform_points(camera_from_centered, _centered_hull(model))
     pixels = project(camera.K, np.maximum(hull, [-np.inf, -np.inf, 1e-3])).T  # numpy is slow on many short rows
-    return pixels.min(axis=1), pixels.max(axis=1)
+    return np.stack([pixels.min(axis=1), pixels.max(axis=1)])
 
 
 def _ball(model: Model, pose: np.ndarray, camera: Camera) -> _Ball:

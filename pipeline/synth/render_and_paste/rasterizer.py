@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float32, UInt16
 
 from pipeline.gl_rendering import GlError
-from pipeline.ray_casting import Box
+from pipeline.ray_casting import NEAR, Box
 from pipeline.scene import Camera
 from pipeline.synth.render_and_paste import shots
 from pipeline.synth.render_and_paste.gl_context import GlContext
@@ -22,6 +22,9 @@ from pipeline.synth.render_and_paste.lights import Light
 from pipeline.synth.render_and_paste.shaders import compile_program
 from pipeline.synth.render_and_paste.shots import Painted, Shot
 from pipeline.synth.render_and_paste.uploads import Upload, Uploads
+
+MOST_BUFFERS = 12
+"""Objects drawn before the first of them is read; each needs the memory of an image."""
 
 
 class Drawing(NamedTuple):
@@ -54,15 +57,19 @@ class Rasterizer:
         Raises GlError if the driver fails or the rasterizer is closed.
         """
         taken = [shots.shot_of(item, camera) for item in objects]
+        drawings: list[Drawing] = []
         with self._context.current() as gl:
             _set_state(gl)
             lit: set[bool] = set()
-            for slot, shot in enumerate(taken):
-                if shot.box.area:
-                    self._bind_framebuffer(gl, camera, slot)
-                    self._draw_one(gl, shot, camera, light, lit)
-                    gl.glFlush()  # a driver that draws on the CPU fills pixels while the next object is sent
-            return [self._read(gl, camera, slot, shot) for slot, shot in enumerate(taken)]
+            for start in range(0, len(taken), MOST_BUFFERS):
+                batch = taken[start : start + MOST_BUFFERS]
+                for slot, shot in enumerate(batch):
+                    if shot.box.area:
+                        self._bind_framebuffer(gl, camera, slot)
+                        self._draw_one(gl, shot, camera, light, lit)
+                        gl.glFlush()  # a driver that draws on the CPU fills pixels while the next object is sent
+                drawings += [self._read(gl, camera, slot, shot) for slot, shot in enumerate(batch)]
+        return drawings
 
     def _draw_one(self, gl: Any, shot: Shot, camera: Camera, light: Light, lit: set[bool]) -> None:
         upload = self._uploads.of(gl, shot.item.model)
@@ -72,7 +79,8 @@ class Rasterizer:
         gl.glViewport(-shot.box.x0, -shot.box.y0, camera.width, camera.height)
         gl.glScissor(0, 0, *_size(shot.box))
         gl.glClear(gl.GL_COLOR_BUFFER_BIT | gl.GL_DEPTH_BUFFER_BIT)
-        (gl.glEnable if upload.closed else gl.glDisable)(gl.GL_CULL_FACE)
+        outside = upload.closed and shot.near > NEAR  # else the camera may be inside the object
+        (gl.glEnable if outside else gl.glDisable)(gl.GL_CULL_FACE)
         gl.glBindVertexArray(upload.vertex_array)
         gl.glDrawElements(gl.GL_TRIANGLES, upload.corners, gl.GL_UNSIGNED_INT, None)
 

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from pipeline.exceptions import InputError
+from pipeline.parallel.threads import thread_limit
 
 
 def denoise(
@@ -38,4 +39,8 @@ def _oidn() -> tuple[Any, Any]:
     except ImportError as error:
         raise InputError(f"denoising: {error}; install the extra `synth` (pip install mitsuba-oidn)") from None
     module: Any = mitsuba_oidn
-    return module, module.Device(module.DeviceType.CPU)
+    device = module.Device(module.DeviceType.CPU)
+    if limit := thread_limit():
+        device.set_bool("setAffinity", False)  # else the threads of all processes would share the first cores
+        device.num_threads = limit
+    return module, device

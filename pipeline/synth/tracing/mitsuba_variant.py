@@ -11,6 +11,8 @@ import os
 from functools import cache
 from typing import Any
 
+from pipeline.parallel.threads import thread_limit
+
 VARIANT = "INSPECTOR_MITSUBA_VARIANT"
 """Environment variable that chooses the variant, `scalar_rgb` or `llvm_ad_rgb`."""
 LLVM_VERSIONS = range(25, 18, -1)
@@ -26,6 +28,10 @@ def mitsuba() -> Any:
     module: Any = mi
     module.set_variant(name)
     module.set_log_level(module.LogLevel.Error)
+    if limit := thread_limit():
+        import drjit
+
+        drjit.set_thread_count(limit)
     return module
 
 

@@ -84,7 +84,7 @@ class PathTracer:
         seed: int = 0,
         photo: PhotoConfig | None = None,
     ) -> UInt8[np.ndarray, "h w 3"]:
-        """The photograph: sRGB. The same seed gives the same image on the same machine."""
+        """The photograph: sRGB. The same seed gives the same image on the same machine, up to a level by rounding."""
         radiance = self.radiance(camera, camera_from_world, preset, seed)
         return photograph(radiance, photo, self._world.white, np.random.default_rng([seed, 77]))
 

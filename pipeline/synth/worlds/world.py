@@ -108,7 +108,7 @@ class Stage:
         ahead = np.roll(self.polygon, -1, axis=0) - self.polygon
         inward = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1) / np.linalg.norm(ahead, axis=1, keepdims=True)
         distance = points @ inward.T - np.einsum("ij,ij->i", self.polygon, inward)
-        return (distance >= margin).all(axis=-1)
+        return np.asarray((distance >= margin).all(axis=-1))
 
     def sample(self, rng: np.random.Generator, count: int, margin: float = 0.0) -> Float[np.ndarray, "n 2"]:
         """Points of the stage plane, uniform over the polygon less its margin.
