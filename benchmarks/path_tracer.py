@@ -21,8 +21,8 @@ from rich.table import Table
 from pipeline.geometry import inverse, transform
 from pipeline.scene import Camera
 from pipeline.synth.cameras import CameraRanges, sample_view
+from pipeline.synth.demo.part_files import part_model
 from pipeline.synth.materials import random_material
-from pipeline.synth.part_files import part_model
 from pipeline.synth.tracing.denoising import denoise
 from pipeline.synth.tracing.mitsuba_scene import Object
 from pipeline.synth.tracing.mitsuba_variant import mitsuba

@@ -1,1 +1,1 @@
-"""Synthesis: our own parts as code, physics, shading, sensors, and the demo dataset made from them."""
+"""ObjectSynth: worlds, arrangements, cameras, sensors, renderers, and whole datasets made by them (thesis ch. synthesis)."""

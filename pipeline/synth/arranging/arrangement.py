@@ -35,9 +35,12 @@ class Falling:
     """At first: any, or upright (z of the model frame up) and turned about the vertical at random."""
     instances: tuple[int, int] = (1, 1)
     """Of each model, uniform, both included."""
+    spread: float | None = None
+    """Metres across the part of the stage above which objects start, somewhere on it: less makes a denser pile; None
+    for all of the stage."""
     kept_in: bool = True
-    """Whether walls at the border of the stage keep objects on it while they fall, to be taken away before the end."""
-    tries: int = 8
+    """Whether walls about that part keep objects in while they fall, to be taken away before the end."""
+    tries: int = 6
     """Times to start anew when an arrangement is not sound."""
 
 
@@ -64,6 +67,8 @@ class Arrangement:
     """Rigid, metres."""
     left_off: tuple[int, ...] = ()
     """Object ids of those that fell off the stage or found no room, one per object."""
+    fallen: bool = True
+    """Whether physics brought them to rest; what only stands is not asked whether it would fall over."""
 
 
 @dataclass(frozen=True)
@@ -76,8 +81,9 @@ class Soundness:
     """What overlaps so: "objects 3 and 5", "object 3 and the world"; empty for nothing."""
     lowest: float
     """Metres of the lowest point of all objects above the plane of the stage; below it: negative."""
-    speed: float
-    """Metres per second: of the fastest point of an object on average while the simulation goes on for a second."""
+    speed: float | None
+    """Metres per second of the fastest point of an object on average while the simulation goes on for a second; None
+    for objects that only stand."""
 
     @property
     def faults(self) -> list[str]:
@@ -87,7 +93,7 @@ class Soundness:
             found.append(f"{self.between} overlap by {1000 * self.overlap:.1f} mm")
         if self.lowest < -MAX_OVERLAP:
             found.append(f"an object reaches {-1000 * self.lowest:.1f} mm below the stage")
-        if not self.speed <= REST_SPEED:
+        if self.speed is not None and not self.speed <= REST_SPEED:
             found.append(f"an object moves at {1000 * self.speed:.1f} mm/s")
         return found
 

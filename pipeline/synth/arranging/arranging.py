@@ -11,6 +11,7 @@ from jaxtyping import Float
 from pipeline.geometry import transform_points
 from pipeline.scene import Model
 from pipeline.synth.arranging.arrangement import Arrangement, EmptyStageError, Falling, NoRestError, Soundness, Standing
+from pipeline.synth.arranging.convex_pieces import extremes
 from pipeline.synth.arranging.falling import drift, fall, stage_poses
 from pipeline.synth.arranging.interpenetration import deepest_overlap
 from pipeline.synth.arranging.refusals import refuse_bad_models, refuse_bad_stage
@@ -45,14 +46,14 @@ def _attempt(
 ) -> tuple[Arrangement, str | None]:
     """One try, and what is wrong with it."""
     if isinstance(how, Falling):
-        fallen = fall(world, stage, models, how, rng)
-        poses, on, at_rest = fallen
+        poses, on, at_rest = fall(world, stage, models, how, rng)
     else:
         poses, on = stand(world, stage, models, how, rng)
         at_rest = True
     world_from_models = stage.world_from_stage @ poses
     left_off = tuple(model.obj_id for k, model in enumerate(models) if k not in on)
-    arrangement = Arrangement(stage, tuple(models[k] for k in on), tuple(world_from_models[k] for k in on), left_off)
+    chosen = tuple(models[k] for k in on), tuple(world_from_models[k] for k in on)
+    arrangement = Arrangement(stage, *chosen, left_off, isinstance(how, Falling))
     if not on:
         return arrangement, NOTHING
     if not at_rest:
@@ -70,11 +71,12 @@ def check(world: World, arrangement: Arrangement) -> Soundness:
     overlap = deepest_overlap(world, objects)
     poses = stage_poses(arrangement.stage, arrangement.world_from_models)
     lowest = min((_lowest(*item) for item in zip(arrangement.models, poses, strict=True)), default=0.0)
-    return Soundness(overlap.depth, overlap.between, lowest, drift(world, arrangement.stage, arrangement.models, poses))
+    speed = drift(world, arrangement.stage, arrangement.models, poses) if arrangement.fallen else None
+    return Soundness(overlap.depth, overlap.between, lowest, speed)
 
 
 def _lowest(model: Model, stage_from_model: Float[np.ndarray, "4 4"]) -> float:
-    return float(transform_points(stage_from_model, model.vertices)[:, 2].min())
+    return float(transform_points(stage_from_model, extremes(model))[:, 2].min())
 
 
 def _failure(stage: Stage, models: Sequence[Model], faults: Counter[str]) -> Exception:

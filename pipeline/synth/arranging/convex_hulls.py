@@ -43,20 +43,20 @@ def _thickened(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "_ 3"]:
 
 def few_corners(corners: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "_ 3"]:
     """Some of the corners, such that no other lies further than `CHIPPED` outside their hull."""
-    from scipy.spatial import ConvexHull
+    from scipy.spatial import ConvexHull, QhullError
 
     kept = np.zeros(len(corners), bool)
-    along = corners @ _directions(26).T
-    kept[along.argmax(axis=0)] = True
-    for _ in range(60):
+    kept[(corners @ _directions(32).T).argmax(axis=0)] = True
+    while not kept.all():
         try:
             equations = ConvexHull(corners[kept]).equations
-        except Exception:
+        except QhullError:  # too few corners yet, or all but flat
             return corners
         outside = corners @ equations[:, :3].T + equations[:, 3]
-        if outside.max() <= CHIPPED:
+        beyond = outside.max(axis=0)
+        if beyond.max() <= CHIPPED:
             break
-        kept[outside.argmax(axis=0)[outside.max(axis=0) > CHIPPED]] = True
+        kept[outside.argmax(axis=0)[beyond > max(CHIPPED, beyond.max() / 2)]] = True
     return corners[kept]
 
 
@@ -91,7 +91,7 @@ def samples_of(corners: Float[np.ndarray, "n 3"], count: int = 300) -> tuple[Flo
 
 def moments(
     hulls: Sequence[Float[np.ndarray, "_ 3"]],
-) -> tuple[float, Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
+) -> tuple[float, Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]]:
     """Volume, centre of mass and inertia about it of convex bodies together, for a density of 1."""
     import trimesh
 

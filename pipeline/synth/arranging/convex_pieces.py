@@ -15,7 +15,7 @@ from itertools import count
 import numpy as np
 from jaxtyping import Float, Int
 
-from pipeline.model_cache import per_model
+from pipeline.model_cache import convex_hull, per_model
 from pipeline.scene import Model
 from pipeline.synth.arranging.convex_hulls import corners_of, few_corners, moments, samples_of, volume_of
 from pipeline.synth.arranging.soup import Soup, split
@@ -39,7 +39,7 @@ class Pieces:
     hulls: tuple[Float[np.ndarray, "_ 3"], ...]
     """Corners of the pieces."""
     volume: float
-    centre: Float[np.ndarray, "3"]
+    centre: Float[np.ndarray, " 3"]
     """Centre of mass."""
     inertia: Float[np.ndarray, "3 3"]
     """About the centre of mass."""
@@ -58,6 +58,11 @@ def pieces_of(model: Model) -> Pieces:
 _BY_CONTENT: dict[bytes, Pieces] = {}
 
 
+def extremes(model: Model) -> Float[np.ndarray, "n 3"]:
+    """The vertices on the model's convex hull: all that bounds, and what it stands on, depend on them."""
+    return model.vertices[convex_hull(model)]
+
+
 def convex_pieces(model: Model, most: int = MOST_PIECES) -> list[Float[np.ndarray, "_ 3"]]:
     """Corners of at most `most` convex bodies that together contain the surface (to 0.1 mm)."""
     grid, order = _Grid(model), count()
@@ -67,7 +72,10 @@ def convex_pieces(model: Model, most: int = MOST_PIECES) -> list[Float[np.ndarra
         _, _, piece = heapq.heappop(queue)
         axis, at = grid.best_cut(piece.low, piece.high)
         low, high = split(piece.soup, axis, grid.place(axis, at))
-        for soup, start, stop in ((low, piece.low, _at(piece.high, axis, at)), (high, _at(piece.low, axis, at), piece.high)):
+        for soup, start, stop in (
+            (low, piece.low, _at(piece.high, axis, at)),
+            (high, _at(piece.low, axis, at), piece.high),
+        ):
             if len(soup):
                 heapq.heappush(queue, _piece(grid, soup, start, stop, order))
     return [few_corners(piece.corners) for _, _, piece in sorted(queue, key=lambda entry: entry[1])]
@@ -76,14 +84,14 @@ def convex_pieces(model: Model, most: int = MOST_PIECES) -> list[Float[np.ndarra
 @dataclass(frozen=True, eq=False)
 class _Piece:
     soup: Soup
-    low: Int[np.ndarray, "3"]
+    low: Int[np.ndarray, " 3"]
     """Planes of the grid between which the piece lies."""
-    high: Int[np.ndarray, "3"]
+    high: Int[np.ndarray, " 3"]
     corners: Float[np.ndarray, "_ 3"]
 
 
 def _piece(
-    grid: _Grid, soup: Soup, low: Int[np.ndarray, "3"], high: Int[np.ndarray, "3"], order: count[int]
+    grid: _Grid, soup: Soup, low: Int[np.ndarray, " 3"], high: Int[np.ndarray, " 3"], order: count[int]
 ) -> tuple[float, int, _Piece]:
     """A piece with its place in the queue: that which reaches out most is first."""
     corners = corners_of(np.concatenate([soup.reshape(-1, 3), grid.inside(low, high)]))
@@ -92,7 +100,7 @@ def _piece(
     return -excess, next(order), _Piece(soup, low, high, corners)
 
 
-def _at(planes: Int[np.ndarray, "3"], axis: int, at: int) -> Int[np.ndarray, "3"]:
+def _at(planes: Int[np.ndarray, " 3"], axis: int, at: int) -> Int[np.ndarray, " 3"]:
     moved = planes.copy()
     moved[axis] = at
     return moved
@@ -118,7 +126,7 @@ class _Grid:
         """Coordinate of a plane of the grid."""
         return float(self._origin[axis] + at * self._step)
 
-    def inside(self, low: Int[np.ndarray, "3"], high: Int[np.ndarray, "3"]) -> Float[np.ndarray, "n 3"]:
+    def inside(self, low: Int[np.ndarray, " 3"], high: Int[np.ndarray, " 3"]) -> Float[np.ndarray, "n 3"]:
         """Nodes inside the mesh, from plane to plane, both included."""
         chosen = ((self._nodes >= low) & (self._nodes <= high)).all(axis=1)
         return self._origin + self._nodes[chosen] * self._step
@@ -127,7 +135,7 @@ class _Grid:
         """Signed distance to the surface, negative inside."""
         return signed_distance(self._model, points)
 
-    def best_cut(self, low: Int[np.ndarray, "3"], high: Int[np.ndarray, "3"]) -> tuple[int, int]:
+    def best_cut(self, low: Int[np.ndarray, " 3"], high: Int[np.ndarray, " 3"]) -> tuple[int, int]:
         """Axis and plane of the cut that leaves the least volume to the convex hulls of both sides' cells."""
         cells = self._cells[((self._cells >= low) & (self._cells < high)).all(axis=1)]
         whole = _hull_volume(cells)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -11,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.geometry import inverse, transform, transform_points
 from pipeline.scene import Model
-from pipeline.synth.arranging.arrangement import REST_SPEED, Falling
-from pipeline.synth.arranging.convex_pieces import pieces_of
+from pipeline.synth.arranging.arrangement import MAX_OVERLAP, REST_SPEED, Falling
+from pipeline.synth.arranging.convex_pieces import extremes, pieces_of
 from pipeline.synth.arranging.simulation import Simulation, Wall
 from pipeline.synth.worlds.world import Stage, World
 
@@ -24,7 +25,7 @@ CHUNK = 0.1
 """Seconds between two looks at the bodies."""
 CALM = 0.25
 """Metres per second: slower than this, a wave makes way for the next."""
-LONGEST = 12.0
+LONGEST = 7.0
 """Seconds of simulated time in which bodies must come to rest."""
 STILL = 4
 """Chunks in a row in which nothing moves: rest."""
@@ -43,27 +44,39 @@ class Fallen(NamedTuple):
 
 def fall(world: World, stage: Stage, models: Sequence[Model], how: Falling, rng: np.random.Generator) -> Fallen:
     """Let objects fall; those that leave the stage are taken away, and what leant on them falls on."""
-    walls = _walls(stage) if how.kept_in and _inner_radius(stage) > max(map(_radius, models)) / 2 else []
+    area = _area(stage, how.spread, rng)
+    walls = _walls(area) if how.kept_in and _inner_radius(area) > max(map(_radius, models)) / 2 else []
     simulation = Simulation([pieces_of(model) for model in models], world.hulls_near(stage), walls)
-    waiting = [int(index) for index in rng.permutation(len(models))]
-    for _ in range(WAVES):
-        waiting = _start(simulation, stage, models, waiting, how, rng)
-        if not waiting:
-            break
-        _settle(simulation, stage, models, CALM, 1)
+    _rain(simulation, area, models, how, rng)
     at_rest = True
     if walls:
-        at_rest = _settle(simulation, stage, models, CALM / 10, 1)
+        at_rest = _settle(simulation, models, CALM / 10, 1)
         simulation.drop_walls()
-    while at_rest:
-        at_rest = _settle(simulation, stage, models, REST_SPEED / 3, STILL)
+    at_rest = at_rest and _come_to_rest(simulation, stage, models)
+    return Fallen(simulation.poses(), [int(k) for k in np.flatnonzero(simulation.placed)], at_rest)
+
+
+def _rain(simulation: Simulation, area: Stage, models: Sequence[Model], how: Falling, rng: np.random.Generator) -> None:
+    """Let all objects go, in waves if there is no room for all at once."""
+    waiting = [int(index) for index in rng.permutation(len(models))]
+    for _ in range(WAVES):
+        waiting = _start(simulation, area, models, waiting, how, rng)
+        if not waiting or not simulation.placed.any():  # above an empty stage waiting does not help
+            return
+        _settle(simulation, models, CALM, 1)
+
+
+def _come_to_rest(simulation: Simulation, stage: Stage, models: Sequence[Model]) -> bool:
+    """Until all that is there is at rest on the stage; False if it takes too long."""
+    while _settle(simulation, models, 0.6 * REST_SPEED, STILL):
         poses = simulation.poses()
-        off = [int(k) for k in np.flatnonzero(simulation.placed) if not rests_on(stage, models[k], poses[k])]
+        on = [int(k) for k in np.flatnonzero(simulation.placed)]
+        off = [k for k in on if not rests_on(stage, models[k], poses[k])]
         if not off:
-            break
+            return True
         for index in off:
             simulation.park(index)
-    return Fallen(simulation.poses(), [int(k) for k in np.flatnonzero(simulation.placed)], at_rest)
+    return False
 
 
 def drift(world: World, stage: Stage, models: Sequence[Model], poses: Float[np.ndarray, "n 4 4"]) -> float:
@@ -77,14 +90,14 @@ def drift(world: World, stage: Stage, models: Sequence[Model], poses: Float[np.n
 
 
 def rests_on(stage: Stage, model: Model, stage_from_model: Float[np.ndarray, "4 4"]) -> bool:
-    """Whether an object at rest lies on the stage: its middle above the polygon, all of it between plane and free height."""
-    points = transform_points(stage_from_model, model.vertices)
+    """Whether an object at rest lies on the stage: its middle above the polygon, all of it up to the free height above."""
+    points = transform_points(stage_from_model, extremes(model))
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
-    on = bool(stage.contains(middle[:2]))
-    return on and points[:, 2].min() > -0.02 and points[:, 2].max() < stage.free_height + 0.002
+    low, high = float(points[:, 2].min()), float(points[:, 2].max())
+    return bool(stage.contains(middle[:2])) and low > -MAX_OVERLAP / 2 and high < stage.free_height + 0.002
 
 
-def _settle(simulation: Simulation, stage: Stage, models: Sequence[Model], speed: float, still: int) -> bool:
+def _settle(simulation: Simulation, models: Sequence[Model], speed: float, still: int) -> bool:
     """Simulate until nothing has been faster than `speed` for some chunks; False if it takes too long.
 
     What falls off the stage is taken away at once: it would roll on for long.
@@ -128,11 +141,19 @@ def _start_pose(stage: Stage, model: Model, how: Falling, rng: np.random.Generat
     """Above the stage, within its border if the object is small enough."""
     upright = how.orientation == "canonical"
     turn = Rotation.from_euler("z", rng.uniform(0, 2 * np.pi)) if upright else Rotation.random(rng=rng)
-    points = turn.apply(model.vertices)
+    points = turn.apply(extremes(model))
     low, high = points.min(axis=0), points.max(axis=0)
     margin = min(float((high - low)[:2].max()) / 2, 0.95 * _inner_radius(stage))
     at = stage.sample(rng, 1, margin)[0] - (low + high)[:2] / 2
     return transform(turn.as_matrix(), np.array([*at, rng.uniform(*how.heights) - low[2]]))
+
+
+def _area(stage: Stage, spread: float | None, rng: np.random.Generator) -> Stage:
+    """A smaller copy of the stage somewhere on it, `spread` metres across."""
+    if spread is None or spread >= np.ptp(stage.polygon, axis=0).max():
+        return stage
+    fixed = stage.sample(rng, 1)[0]  # scaled about a point of its own, a convex polygon stays within itself
+    return replace(stage, polygon=fixed + spread / np.ptp(stage.polygon, axis=0).max() * (stage.polygon - fixed))
 
 
 def _radius(model: Model) -> float:

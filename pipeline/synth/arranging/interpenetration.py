@@ -19,15 +19,14 @@ from pipeline.geometry import inverse, transform_points
 from pipeline.model_cache import per_model
 from pipeline.ray_casting import _raycaster
 from pipeline.scene import Model
-from pipeline.synth.arranging.convex_pieces import signed_distance
+from pipeline.synth.arranging.arrangement import MAX_OVERLAP
+from pipeline.synth.arranging.convex_pieces import extremes, signed_distance
+from pipeline.synth.arranging.crossings import Posed, separation
 from pipeline.synth.arranging.soup import Soup, split
 from pipeline.synth.worlds.world import World
 
 SPACING = 0.002
 """Metres."""
-
-Posed = tuple[Model, Float[np.ndarray, "4 4"]]
-"""A model and world from model."""
 
 
 class Overlap(NamedTuple):
@@ -44,7 +43,7 @@ def deepest_overlap(world: World, objects: Sequence[Posed]) -> Overlap:
     found = [Overlap()]
     for (first, box_a), (second, box_b) in combinations(zip(objects, boxes, strict=True), 2):
         if (box_a[0] <= box_b[1]).all() and (box_b[0] <= box_a[1]).all():
-            depth = max(depth_inside(first, second), depth_inside(second, first))
+            depth = _depth_between(first, second)
             found.append(Overlap(depth, f"objects {first[0].obj_id} and {second[0].obj_id}"))
     nearby = _nearby(world, boxes)
     for item, box in zip(objects, boxes, strict=True):
@@ -52,6 +51,14 @@ def deepest_overlap(world: World, objects: Sequence[Posed]) -> Overlap:
         found.append(Overlap(depth, f"object {item[0].obj_id} and the world"))
     deepest = max(found, key=lambda overlap: overlap.depth)
     return deepest if deepest.depth > 0 else Overlap()
+
+
+def _depth_between(first: Posed, second: Posed) -> float:
+    depth = max(depth_inside(first, second), depth_inside(second, first))
+    if depth > MAX_OVERLAP:
+        return depth
+    apart = separation(first, second, MAX_OVERLAP)  # thin walls may cross without depth
+    return apart if apart > MAX_OVERLAP else depth
 
 
 def depth_inside(inner: Posed, outer: Posed) -> float:
@@ -92,12 +99,12 @@ def _thinned(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 3"]:
 
 
 @per_model
-def _limits(model: Model) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+def _limits(model: Model) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
     return model.vertices.min(axis=0), model.vertices.max(axis=0)
 
 
 def _within(
-    points: Float[np.ndarray, "n 3"], low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]
+    points: Float[np.ndarray, "n 3"], low: Float[np.ndarray, " 3"], high: Float[np.ndarray, " 3"]
 ) -> Bool[np.ndarray, " n"]:
     inside = np.ones(len(points), bool)
     for k in range(3):  # long inner loops: numpy is slow on arrays whose last axis is 3
@@ -107,7 +114,7 @@ def _within(
 
 def _box(model: Model, world_from_model: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "2 3"]:
     """Lower and upper corner of the object's bounding box in the world."""
-    points = transform_points(world_from_model, model.vertices)
+    points = transform_points(world_from_model, extremes(model))
     return np.stack([points.min(axis=0), points.max(axis=0)])
 
 
@@ -129,6 +136,8 @@ def _depth_behind(nearby: Model, item: Posed) -> float:
     """How far points of an object lie behind the face of the world that is nearest to them."""
     from open3d.core import Tensor
 
+    if not len(nearby.faces):
+        return 0.0
     points = transform_points(item[1], surface_points(item[0])).astype(np.float32)
     answer = _raycaster(nearby).compute_closest_points(Tensor.from_numpy(points))
     away = points - answer["points"].numpy()

@@ -28,12 +28,10 @@ def refuse_bad_models(models: Sequence[Model]) -> None:
     if not models:
         raise NothingToArrangeError("no models to arrange; give at least one")
     for model in models:
-        if not len(model.faces) or not np.isfinite(model.vertices).all():
-            raise NothingToArrangeError(
-                f"object {model.obj_id}: {len(model.faces)} faces, not all of them finite points; mend its model file"
-                if len(model.faces)
-                else f"object {model.obj_id}: no faces; give a mesh, not a cloud of points"
-            )
+        if not len(model.faces):
+            raise NothingToArrangeError(f"object {model.obj_id}: no faces; give a mesh, not a cloud of points")
+        if not np.isfinite(model.vertices).all():
+            raise NothingToArrangeError(f"object {model.obj_id}: vertices that are not finite; mend its model file")
         if not LEAST_DIAMETER <= model.diameter <= MOST_DIAMETER:
             raise NothingToArrangeError(
                 f"object {model.obj_id}: diameter {1000 * model.diameter:.3g} mm; model files are in millimetres: scale it"

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from pipeline.geometry import transform
@@ -33,7 +33,7 @@ DRAG = 1.5
 FAR = 100.0
 """Metres: where bodies are parked."""
 
-Wall = tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]
+Wall = tuple[Float[np.ndarray, " 2"], Float[np.ndarray, " 2"]]
 """A point on an endless upright wall and its normal, which points to the free side."""
 
 
@@ -108,7 +108,7 @@ class Simulation:
         moved += (after - before)[:, None, :3, 3]
         return np.where(self.placed, np.linalg.norm(moved, axis=2).max(axis=1, initial=0.0), 0.0)
 
-    def _put(self, index: int, position: Float[np.ndarray, "3"], rotation: Rotation) -> None:
+    def _put(self, index: int, position: Float[np.ndarray, " 3"], rotation: Rotation) -> None:
         state = self._data.qpos[7 * index : 7 * index + 7]
         state[:3], state[3:] = position, np.roll(rotation.as_quat(), 1)
         self._data.qvel[6 * index : 6 * index + 6] = 0.0

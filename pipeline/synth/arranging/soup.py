@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-Soup = Float[np.ndarray, "n 3 3"]
+Soup = Float[np.ndarray, "_ 3 3"]
 """Triangles, by their corners."""
 
 

@@ -12,15 +12,15 @@ from scipy.spatial.transform import Rotation
 from pipeline.geometry import transform, transform_points
 from pipeline.scene import Model
 from pipeline.synth.arranging.arrangement import Standing
-from pipeline.synth.arranging.convex_pieces import pieces_of
+from pipeline.synth.arranging.convex_pieces import extremes, pieces_of
 from pipeline.synth.arranging.simulation import Simulation
 from pipeline.synth.worlds.world import Stage, World
 
 PLACES = 60
 """Places and turns that are tried for an object."""
-ENOUGH = 8
+ENOUGH = 6
 """Free places among them that are compared."""
-HALVINGS = 7
+HALVINGS = 6
 """Of the way on which an object is pushed towards the others."""
 LIFT = 0.0001
 """Metres that statics may stand out of the stage: what is higher is in the way."""
@@ -57,7 +57,7 @@ class _Place:
     gap: float
     """Metres."""
 
-    def nearest_to(self, middle: Float[np.ndarray, "2"], rng: np.random.Generator) -> Float[np.ndarray, "4 4"] | None:
+    def nearest_to(self, middle: Float[np.ndarray, " 2"], rng: np.random.Generator) -> Float[np.ndarray, "4 4"] | None:
         """Of some free places, pushed towards the middle of all objects, the nearest to it; None where none is free."""
         best, nearest, seen = None, np.inf, 0
         for at in self.stage.sample(rng, PLACES):
@@ -70,8 +70,8 @@ class _Place:
         return best
 
     def _pushed(
-        self, turn: Float[np.ndarray, "3 3"], at: Float[np.ndarray, "2"], middle: Float[np.ndarray, "2"]
-    ) -> Float[np.ndarray, "2"]:
+        self, turn: Float[np.ndarray, "3 3"], at: Float[np.ndarray, " 2"], middle: Float[np.ndarray, " 2"]
+    ) -> Float[np.ndarray, " 2"]:
         """As far towards the middle as the object stays free."""
         share, step = 0.0, 1.0
         for _ in range(HALVINGS):
@@ -82,17 +82,17 @@ class _Place:
             step /= 2
         return at + share * (middle - at)
 
-    def _is_free(self, turn: Float[np.ndarray, "3 3"], at: Float[np.ndarray, "2"]) -> bool:
+    def _is_free(self, turn: Float[np.ndarray, "3 3"], at: Float[np.ndarray, " 2"]) -> bool:
         """Whether the object stands wholly on the stage, with its gap about it."""
         pose = self._pose(turn, at)
-        points = transform_points(pose, self.model.vertices)
+        points = transform_points(pose, extremes(self.model))
         if not self.stage.contains(points[:, :2]).all() or points[:, 2].max() > self.stage.free_height:
             return False
         self.simulation.place(self.index, pose)
         return not self.simulation.touched(self.index, self.gap)
 
-    def _pose(self, turn: Float[np.ndarray, "3 3"], at: Float[np.ndarray, "2"]) -> Float[np.ndarray, "4 4"]:
+    def _pose(self, turn: Float[np.ndarray, "3 3"], at: Float[np.ndarray, " 2"]) -> Float[np.ndarray, "4 4"]:
         """Upright, the lowest point on the stage, the middle of the box about it above a point."""
-        points = self.model.vertices @ turn.T
+        points = extremes(self.model) @ turn.T
         low, high = points.min(axis=0), points.max(axis=0)
         return transform(turn, np.array([*(at - (low + high)[:2] / 2), -low[2]]))

@@ -43,7 +43,7 @@ class ModelLibrary:
     def obj_ids(self) -> tuple[int, ...]:
         """All there are."""
         if self.root is None:
-            from pipeline.synth.parts import PARTS
+            from pipeline.synth.demo.parts import PARTS
 
             return tuple(part.obj_id for part in PARTS)
         return self._models.obj_ids
@@ -59,7 +59,7 @@ class ModelLibrary:
     def model(self, obj_id: int) -> Model:
         """A model, the same one each time. Raises InputError if it is damaged, or its unit is not the millimetre."""
         if self.root is None:
-            from pipeline.synth.part_files import part_display_model
+            from pipeline.synth.demo.part_files import part_display_model
 
             return part_display_model(obj_id)
         model = self._models.model(obj_id, "display")
@@ -74,7 +74,7 @@ class ModelLibrary:
     def copy_to(self, root: Path) -> None:
         """Put the models into a dataset, unless it is the one that they come from, or has models already."""
         if self.root is None:
-            from pipeline.synth import part_files
+            from pipeline.synth.demo import part_files
 
             if not (root / "models").is_dir():
                 part_files.write_part_models(root / "models")

@@ -27,6 +27,8 @@ class Store:
     def __init__(self, root: Path, split: str, rgb_suffix: str, depth_scale_mm: float) -> None:
         self.root, self.split = root, split
         self._suffix, self._depth_scale = rgb_suffix, depth_scale_mm
+        self._counts: dict[str, tuple[int, int]] = {}
+        """Of finished images by the folder of their records, each with the time of the folder's last change."""
 
     @property
     def folder(self) -> Path:
@@ -62,8 +64,13 @@ class Store:
         return self._record(key).is_file()
 
     def finished(self) -> int:
-        """Number of finished images."""
-        return sum(1 for _ in self._work.glob("*/image_*.json"))
+        """Number of finished images; only folders that have changed since the last time are looked through."""
+        if self._work.is_dir():
+            for folder in self._work.iterdir():
+                changed = folder.stat().st_mtime_ns
+                if self._counts.get(folder.name, (0, 0))[0] != changed:
+                    self._counts[folder.name] = changed, sum(1 for _ in folder.glob("image_*.json"))
+        return sum(count for _, count in self._counts.values())
 
     def records(self, scene_id: int) -> Iterator[SyntheticRecord]:
         """Those of the finished images of a scene, by image id. Raises FormatError if one was damaged."""

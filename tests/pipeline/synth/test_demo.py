@@ -3,7 +3,6 @@
 import json
 from collections import defaultdict
 from functools import cache
-from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +22,11 @@ SOME_IMAGES = [ImageKey(scene_id, im_id) for scene_id in (1, 2, 3) for im_id in 
 @cache
 def demo() -> Dataset:
     return open_dataset(ASSETS / "demo")
+
+
+@cache
+def turntable() -> Dataset:
+    return open_dataset(ASSETS / "demo", "val_turntable")
 
 
 @cache
@@ -55,7 +59,47 @@ def test_has_three_scenes_of_growing_difficulty() -> None:
 
 def test_is_small() -> None:
     files = [file for folder in ("demo", "models") for file in (ASSETS / folder).rglob("*") if file.is_file()]
-    assert sum(file.stat().st_size for file in files) < 20e6
+    assert sum(file.stat().st_size for file in files) < 25e6
+
+
+def test_the_turntable_is_seen_from_all_sides_with_world_poses() -> None:
+    from pipeline.synth.boards import read_board
+
+    keys = list(turntable().images())
+    assert len(keys) == 12
+    places: dict[int, np.ndarray] = {}
+    for key in keys:
+        pose = turntable().camera(key).world_from_camera
+        assert pose is not None
+        for truth in turntable().ground_truth(key):
+            place = places.setdefault(truth.obj_id, pose @ truth.camera_from_model)
+            np.testing.assert_allclose(pose @ truth.camera_from_model, place, atol=1e-6)
+    assert len(places) == 5
+    assert len(read_board(ASSETS / "demo" / "val_turntable" / "000001" / "board.json").ids) == 80
+
+
+def test_depth_of_the_turntable_has_the_bias_of_a_carmine() -> None:
+    from pipeline.synth.sensors import depth_sensor
+
+    exact, measured = [], []
+    for key in turntable().images():
+        truths, depth = turntable().ground_truth(key), turntable().depth(key)
+        assert depth is not None
+        things = [(turntable().model(t.obj_id), t.camera_from_model) for t in truths]
+        rendering = render_scene(things, turntable().camera(key), pixel_center=0.0)
+        seen = (depth > 0) & np.logical_or.reduce([mask(turntable(), key, t.index, visible=True) for t in truths])
+        exact.append(rendering.depth[seen])
+        measured.append(depth[seen])
+    carmine = depth_sensor("carmine")
+    off = np.concatenate(measured) * carmine.a + carmine.b - np.concatenate(exact)
+    assert abs(np.median(off)) < 0.0007
+    assert np.median(np.concatenate(measured) - np.concatenate(exact)) < -0.005
+
+
+def mask(dataset: Dataset, key: ImageKey, index: int, visible: bool) -> np.ndarray:
+    found = dataset.mask(key, index, visible)
+    assert found is not None
+    return found
 
 
 @pytest.mark.parametrize("key", SOME_IMAGES)
@@ -65,16 +109,13 @@ def test_masks_match_the_poses_exactly(key: ImageKey) -> None:
         [(demo().model(t.obj_id, "display"), t.camera_from_model) for t in truths], demo().camera(key), pixel_center=0.0
     )
     for truth, alone in zip(truths, rendering.renderings, strict=True):
-        mask = demo().mask(key, truth.index, visible=False)
-        visible = demo().mask(key, truth.index, visible=True)
-        assert mask is not None
-        assert visible is not None
-        np.testing.assert_array_equal(alone.mask, mask)
-        assert not (visible & ~mask).any()
+        full, visible = (mask(demo(), key, truth.index, kind) for kind in (False, True))
+        np.testing.assert_array_equal(alone.mask, full)
+        assert not (visible & ~full).any()
         assert not (visible & (rendering.instance_ids != truth.index)).any()
         # What lies outside the image counts as hidden.
         assert truth.visible_fraction is not None
-        assert visible.sum() >= truth.visible_fraction * mask.sum() - 0.5
+        assert visible.sum() >= truth.visible_fraction * full.sum() - 0.5
 
 
 @pytest.mark.parametrize("key", SOME_IMAGES)
@@ -84,11 +125,12 @@ def test_depth_agrees_with_the_poses_within_the_sensor_noise(key: ImageKey) -> N
     rendering = render_scene(
         [(demo().model(t.obj_id), t.camera_from_model) for t in truths], demo().camera(key), pixel_center=0.0
     )
-    visible = np.logical_or.reduce([demo().mask(key, t.index) for t in truths])
+    visible = np.logical_or.reduce([mask(demo(), key, t.index, visible=True) for t in truths])
     error_mm = 1000.0 * np.abs(depth - rendering.depth)[visible & (depth > 0)]
-    assert np.percentile(error_mm, 95) < 2.0
+    assert np.median(error_mm) < 2.0
+    assert np.percentile(error_mm, 90) < 6.0
     assert np.median(error_mm) > 0.1
-    assert 0.005 < np.mean(depth == 0) < 0.25  # missing at depth steps and grazing views
+    assert 0.01 < np.mean(depth[visible] == 0) < 0.35  # missing at depth steps and grazing views
 
 
 @pytest.mark.parametrize("key", SOME_IMAGES)
@@ -108,28 +150,40 @@ def test_colour_edges_lie_on_the_silhouettes(key: ImageKey) -> None:
     assert strength[3] > 1.5 * max(strength[0], strength[6])
 
 
-def test_things_lie_still_on_the_table() -> None:
-    for scene_id in demo().scene_ids:
-        first, *others = [ImageKey(scene_id, im_id) for im_id in demo().image_ids(scene_id)]
-        for i, truth in enumerate(demo().ground_truth(first)):
-            placed = world_from_model(first, truth)
-            lowest = (demo().model(truth.obj_id).vertices @ placed[:3, :3].T + placed[:3, 3])[:, 2].min()
-            assert lowest > -0.001
-            if scene_id == 1:
-                assert lowest < 0.001
-            for key in others:
-                np.testing.assert_allclose(world_from_model(key, demo().ground_truth(key)[i]), placed, atol=1e-6)
+PLACES = {1: ("kitchen", 3, "breakfast table"), 2: ("workshop", 2, "table left"), 3: ("storage_shelf", 1, "tote")}
+"""World, its seed and the stage of each scene, as in the configuration `demo`."""
 
 
-def test_parts_do_not_intersect() -> None:
-    pytest.importorskip("manifold3d")
-    from pipeline.synth.parts import part_solid
+@cache
+def instances(scene_id: int) -> tuple[tuple[int, np.ndarray], ...]:
+    """Object and `world_from_model` of all instances that any image of the scene shows."""
+    found: list[tuple[int, np.ndarray]] = []
+    for im_id in demo().image_ids(scene_id):
+        key = ImageKey(scene_id, im_id)
+        for truth in demo().ground_truth(key):
+            place = world_from_model(key, truth)
+            known = [one for obj_id, one in found if obj_id == truth.obj_id and np.abs(one - place).max() < 1e-3]
+            if known:
+                np.testing.assert_allclose(place, known[0], atol=1e-6)
+            else:
+                found.append((truth.obj_id, place))
+    return tuple(found)
 
-    for scene_id in demo().scene_ids:
-        key = ImageKey(scene_id, 0)
-        truths = demo().ground_truth(key)
-        solids = [part_solid(t.obj_id).transform(world_from_model(key, t)[:3] * (1, 1, 1, 1000.0)) for t in truths]
-        assert max((a ^ b).volume() for a, b in combinations(solids, 2)) < 1.0  # mm^3
+
+@pytest.mark.parametrize(("scene_id", "count"), [(1, 7), (2, 9), (3, 15)])
+def test_parts_lie_still_on_their_stage_and_do_not_intersect(scene_id: int, count: int) -> None:
+    pytest.importorskip("mujoco")
+    from pipeline.synth.arranging import Arrangement, check
+    from pipeline.synth.worlds import build_world
+
+    assert len(instances(scene_id)) >= count
+    name, seed, stage = PLACES[scene_id]
+    world = build_world(name, seed)
+    obj_ids, poses = zip(*instances(scene_id), strict=True)
+    models = tuple(demo().model(obj_id, "display") for obj_id in obj_ids)
+    sound = check(world, Arrangement(world.stage(stage), models, poses))
+    assert sound.overlap <= 0.001
+    assert sound.lowest >= -0.001
 
 
 def made_with_errors(method: str) -> dict[str, list[tuple[PoseEstimate, float, float]]]:
@@ -173,8 +227,8 @@ def test_some_targets_have_no_estimate(method: str) -> None:
 
 @pytest.mark.parametrize("method", METHODS)
 def test_made_estimates_come_from_the_code(method: str) -> None:
-    from pipeline.synth.made_errors import METHODS as MADE_METHODS
-    from pipeline.synth.made_errors import made_estimates
+    from pipeline.synth.demo.made_errors import METHODS as MADE_METHODS
+    from pipeline.synth.demo.made_errors import made_estimates
 
     recipe = next(made for made in MADE_METHODS if made.name == method)
     made = [item.estimate for item in made_estimates(demo(), recipe)]
@@ -184,42 +238,36 @@ def test_made_estimates_come_from_the_code(method: str) -> None:
         np.testing.assert_allclose(one.camera_from_model, other.camera_from_model, atol=1e-9)
 
 
-def small_view() -> np.ndarray:
-    """A quarter-size photograph of scene 1 (which has no clutter) made anew from the committed poses."""
-    from pipeline.synth.demo import DemoConfig, shade_view
-    from pipeline.synth.scenes import RECIPES
-    from pipeline.synth.things import Placed, part_thing
-
-    key = ImageKey(1, 2)
-    camera = demo().camera(key)
-    K = np.array([[0.25, 0, -0.375], [0, 0.25, -0.375], [0, 0, 1.0]]) @ camera.K
-    placed = [Placed(part_thing(t.obj_id), world_from_model(key, t)) for t in demo().ground_truth(key)]
-    small = Camera(K, camera.width // 4, camera.height // 4, camera.world_from_camera)
-    return shade_view(RECIPES[0], placed, small, key.im_id, DemoConfig.seed, pixel_grid=2)
-
-
 def test_photographs_come_from_the_code() -> None:
-    pytest.importorskip("manifold3d")
+    pytest.importorskip("mitsuba")
+    pytest.importorskip("mitsuba_oidn")
     import cv2
 
-    made = small_view()
-    np.testing.assert_array_equal(made, small_view())
-    committed = demo().rgb(ImageKey(1, 2))
+    from pipeline.geometry import inverse
+    from pipeline.synth.materials import fixed_material
+    from pipeline.synth.tracing.path_tracer import PathTracer
+    from pipeline.synth.worlds import build_world
+
+    key, scale = ImageKey(1, 2), 0.25
+    camera = demo().camera(key)
+    assert camera.world_from_camera is not None
+    K = np.array([[scale, 0, (scale - 1) / 2], [0, scale, (scale - 1) / 2], [0, 0, 1.0]]) @ camera.K
+    small = Camera(K, camera.width // 4, camera.height // 4, camera.world_from_camera)
+    things = [(demo().model(obj_id, "display"), fixed_material(), place) for obj_id, place in instances(1)]
+    tracer = PathTracer(build_world(*PLACES[1][:2]), things)
+    made = tracer.render(small, inverse(camera.world_from_camera), "bop20")
+    committed = demo().rgb(key)
     assert committed is not None
     reference = cv2.resize(committed, made.shape[1::-1], interpolation=cv2.INTER_AREA)
     difference = np.abs(made.astype(float) - reference)
-    assert difference.mean() < 3.0
-    assert np.percentile(difference, 99) < 30.0
+    assert difference.mean() < 4.0
+    assert np.percentile(difference, 99) < 35.0
 
 
-def test_layout_of_the_same_seed_is_the_same() -> None:
-    pytest.importorskip("manifold3d")
-    pytest.importorskip("mujoco")
-    from pipeline.synth.arrangement import arrange
-    from pipeline.synth.scenes import RECIPES
+def test_says_what_it_was_made_with() -> None:
+    from pipeline.synth.generation.config_file import read_config
+    from pipeline.synth.generation.planning import as_json, difference
 
-    first, second = arrange(RECIPES[0], seed=5), arrange(RECIPES[0], seed=5)
-    for one, other in zip(first, second, strict=True):
-        np.testing.assert_array_equal(one.world_from_model, other.world_from_model)
-    other_seed = arrange(RECIPES[0], seed=6)
-    assert np.abs(other_seed[0].world_from_model - first[0].world_from_model).max() > 0.01
+    for split, name in (("test", "demo"), ("val_turntable", "demo_turntable")):
+        summary = json.loads((ASSETS / "demo" / split / "synthesis.json").read_text())
+        assert difference(summary["config"], as_json(read_config(Path(name)))) == ""

@@ -138,7 +138,7 @@ def test_composition_holds_both_parts() -> None:
 @pytest.mark.parametrize("obj_id", [1, 5])
 def test_code_makes_the_committed_files(obj_id: int) -> None:
     pytest.importorskip("manifold3d")
-    from pipeline.synth.parts import part_mesh
+    from pipeline.synth.demo.parts import part_mesh
 
     made = part_mesh(obj_id)
     assert len(made.faces) == pytest.approx(len(model(obj_id).faces), rel=0.02)

@@ -11,8 +11,8 @@ from pipeline.exceptions import InputError, UnknownIdError
 from pipeline.geometry import inverse, transform, unproject
 from pipeline.rendering import render_scene
 from pipeline.scene import Camera, Model
+from pipeline.synth.cameras import Viewpoint, world_from_camera
 from pipeline.synth.materials import LAMBERTIAN, Material, Texture, linear, random_material
-from pipeline.synth.scenes import looking
 from pipeline.synth.tracing.path_tracer import PRESETS, PathTracer, Preset, preset_of, render
 from pipeline.synth.worlds.rooms import light
 from pipeline.synth.worlds.shapes import ball, box
@@ -47,7 +47,11 @@ def camera(width: int = 64, height: int = 48, **K) -> Camera:
 
 
 def view(eye: tuple[float, float, float] = (0.3, -0.5, 0.4), roll: float = 0.2) -> np.ndarray:
-    return inverse(looking(np.array(eye), np.array([0.0, 0.0, 0.03]), roll))
+    focus = np.array([0.0, 0.0, 0.03])
+    x, y, z = eye - focus
+    distance, azimuth = np.sqrt(x**2 + y**2 + z**2), np.degrees(np.arctan2(y, x))
+    seen_from = Viewpoint(azimuth, np.degrees(np.arcsin(z / distance)), distance, np.degrees(roll))
+    return inverse(world_from_camera(seen_from, focus))
 
 
 @pytest.mark.parametrize(

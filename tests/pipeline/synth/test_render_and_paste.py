@@ -19,7 +19,7 @@ from pipeline.geometry import transform
 from pipeline.gl_rendering import GlError
 from pipeline.rendering import render, render_scene
 from pipeline.scene import Camera, Model
-from pipeline.synth.part_files import part_model
+from pipeline.synth.demo.part_files import part_model
 from pipeline.synth.render_and_paste import LightRanges, PasteSettings, PasteSettingsError, RenderAndPaste
 from pipeline.synth.render_and_paste.lights import Light
 from pipeline.synth.render_and_paste.rasterizer import MOST_BUFFERS, Rasterizer

@@ -306,7 +306,7 @@ def test_cameras_that_cannot_be_are_told_after_a_bounded_number_of_tries(tmp_pat
 
 
 def test_distractors_hide_but_are_not_annotated(tmp_path: Path):
-    from pipeline.synth.part_files import write_part_models
+    from pipeline.synth.demo.part_files import write_part_models
 
     write_part_models(tmp_path / "others" / "models")
     more = (

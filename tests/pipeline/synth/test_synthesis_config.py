@@ -134,7 +134,7 @@ def test_a_file_that_is_not_there_is_answered_with_the_names_that_are():
 
 
 def test_models_in_metres_are_caught(tmp_path: Path):
-    from pipeline.synth.part_files import write_part_models
+    from pipeline.synth.demo.part_files import write_part_models
 
     write_part_models(tmp_path / "set" / "models")
     path = tmp_path / "set" / "models" / "obj_000002.ply"
