@@ -78,7 +78,8 @@ def _serve(config: SymmetriesConfig, models: "ModelSet", console: Console) -> in
     from inspector.symmetries.app import SymmetryApp
 
     app = SymmetryApp(models, _metres(config.epsilon_mm), config.host, config.port)
-    signal.signal(signal.SIGTERM, lambda *_: signal.raise_signal(signal.SIGINT))
+    # Not by raising SIGINT: that is ignored in what a script has started with &.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         console.print(f"[bold]inspector symmetries[/bold] {escape(app.server.url)}  (Ctrl+C ends it)")
         if app.server.network_url is not None:

@@ -1,252 +1,153 @@
-"""The page on which symmetries are looked at: the model against its turned self, the candidates, what was decided."""
+"""The application that shows candidates of symmetries: one state for all browsers, drawn by one worker."""
 
 import threading
+import time
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, UInt8
+import viser
+from jaxtyping import Float
 
-from inspector.page import style_sheet
+from inspector.page import PageChannel, PageChannels
 from inspector.server import InspectorServer, make_server
+from inspector.symmetries.commands import COMMANDS
+from inspector.symmetries.page import HEAD, page_state, static_files
+from inspector.symmetries.picture import Picture
 from inspector.symmetries.review import Review
-from inspector.symmetries.texts import KEYS, heading, list_of_candidates, scale
+from inspector.symmetries.searching import BackgroundSearch
+from pipeline.bop.models_info.model_set import ModelSet
 from pipeline.exceptions import InputError
-from pipeline.geometry import transform_points
-from pipeline.scene import Model
-from pipeline.symmetry_search.groups import Axis, Candidate
-from pipeline.symmetry_search.search import SymmetrySearch
 
-MODEL_COLOR, TURNED_COLOR = (150, 160, 170), (255, 150, 40)
-VIEWS = ("both", "blink", "distance")
-PERIOD_SECONDS = 0.5
-"""Of blinking, and between two pictures while the search goes on."""
-POINTS = 20_000
-"""Points of the surface that show the distance."""
+PANEL_WIDTH = 430
+"""CSS pixels."""
+EYE = (0.85, -1.15, 0.65)
+"""Where browsers look from at first, in scene units."""
 
 
 class SymmetryApp:
-    """Serves a review; all browsers see the same, and each turns the model as it likes."""
+    """Serves the review of a set of models to any number of browsers, which all see and change the same state."""
 
-    def __init__(self, review: Review, host: str = "127.0.0.1", port: int = 8080) -> None:
-        self._review = review
-        self.server: InspectorServer = make_server(host, port, head_html=style_sheet())
-        self._lock = threading.RLock()
+    def __init__(
+        self, models: ModelSet, epsilon: float | None = None, host: str = "127.0.0.1", port: int = 8080
+    ) -> None:
+        """Open the page; nothing is searched before `start`. `epsilon` in metres. Raises InputError."""
+        self.review = Review(models)
         self._stopped = threading.Event()
-        self._drawn: object = None
-        self._handles: dict[str, Any] = {}
-        self._build()
-        review.listen(self._update)
-        self._update()
-        threading.Thread(target=self._blink, name="blinking", daemon=True).start()
+        self._search = BackgroundSearch(self.review, epsilon)
+        self._channels = PageChannels()
+        routes = {"/inspector/call": self._channels.answer_call, "/inspector/state": self._channels.answer_state}
+        self.server: InspectorServer = make_server(host, port, head_html=HEAD, static=static_files(), routes=routes)
+        server = self.server.viser
+        self.channel = PageChannel(server.get_event_loop(), self._methods())
+        self._channels.add(self.channel)
+        self.picture = Picture(server.scene, self.review, self._publish)
+        self._build(server)
+        self.review.listen(self._changed)
+        self._changed()
 
-    def wait(self) -> None:
-        """Serve until interrupted."""
-        while not self._stopped.wait(0.3):
-            pass
+    def start(self) -> None:
+        """Begin to search."""
+        self._search.start()
+
+    def wait(self, until: Callable[[], bool] = lambda: False) -> None:
+        """Serve until interrupted, or until a condition holds (looked at a few times a second)."""
+        while not until():
+            time.sleep(0.3)
 
     def stop(self) -> None:
-        """Free the port."""
+        """End all work and free the port."""
         self._stopped.set()
+        self._search.stop()
+        self.picture.stop()
+        self._channels.remove(self.channel)
         self.server.stop()
 
-    # ---------------------------------------------------------------- building
-    def _build(self) -> None:
-        viser, review = self.server.viser, self._review
-        viser.scene.set_up_direction("+z")
-        viser.initial_camera.position = (0.65, -0.8, 0.55)
-        viser.initial_camera.look_at = (0.0, 0.0, 0.0)
-        gui = viser.gui
-        gui.configure_theme(control_layout="fixed", control_width="large", dark_mode=True, show_logo=False)
-        self._head = gui.add_html("")
-        ids = tuple(map(str, review.models))
-        self._object = gui.add_dropdown("Object", ids, visible=len(ids) > 1)
-        self._list = gui.add_html("")
-        self._view = gui.add_dropdown("Show", VIEWS)
-        self._angle = gui.add_slider("Turned by [°]", 0.0, 360.0, 0.5, 180.0)
-        self._scale = gui.add_html("")
-        buttons: dict[str, tuple[str, Callable[[], None], Any]] = {
-            "Accept (Y)": ("Y", lambda: review.decide("accepted"), "green"),
-            "Refuse (X)": ("X", lambda: review.decide("refused"), "red"),
-            "Decide all of the object as suggested (G)": ("G", review.decide_as_suggested, "gray"),
-            "Undo (U)": ("U", review.undo, "gray"),
-            "Save to models_info.json (K)": ("K", review.save, "blue"),
+    # ------------------------------------------------------------------ what the page and the commands ask for
+    def _methods(self) -> dict[str, Callable[..., Any]]:
+        return {
+            "command": self.command,
+            "select": lambda index: self.review.select(int(index)),
+            "select_object": lambda index: self.review.select_object(int(index)),
+            "fold": lambda fold: self.review.choose_fold(int(fold) or None),
+            "angle": lambda degrees: self.change(angle=float(degrees) % 360.0, playing=False),
         }
-        for label, (key, action, color) in buttons.items():
-            button = gui.add_button(label, color=color)
-            button.on_click(lambda _, action=action: action())
-            self._command(label.partition(" (")[0], key, action)
-        self._command("Next candidate", "N", lambda: review.step(1))
-        self._command("Previous candidate", "P", lambda: review.step(-1))
-        self._command("Next object", "O", lambda: review.step_object(1))
-        self._command("Previous object", "I", lambda: review.step_object(-1))
-        self._command("Both, blink, distance", "V", self._next_view)
-        gui.add_html(KEYS)
-        self._chosen_view = VIEWS[0]
-        self._view.on_update(lambda event: self._show(event.target.value))
-        self._angle.on_update(lambda _: self._draw())
-        self._object.on_update(lambda event: review.look_at(int(event.target.value)) if event.client else None)
 
-    def _command(self, label: str, key: str, action: Callable[[], None]) -> None:
-        self.server.viser.gui.add_command(label, hotkey=key).on_trigger(lambda _: action())  # type: ignore[arg-type]
+    def command(self, name: str) -> None:
+        """Run a command of the table."""
+        found = next((command for command in COMMANDS if command.name == name), None)
+        if found is not None:
+            found.run(self)
 
-    def _next_view(self) -> None:
-        self._view.value = VIEWS[(VIEWS.index(self._chosen_view) + 1) % len(VIEWS)]
+    def change(self, **fields: Any) -> None:
+        """Change how candidates are shown."""
+        self.picture.change(**fields)
+        if "dark" in fields:
+            self._theme()
+        self._changed()
 
-    def _show(self, view: str) -> None:
-        self._chosen_view = view
-        self._drawn = None
-        self._draw()
+    def turn_by(self, by: int) -> None:
+        """Go to the next turn of the candidate's fold, by 15 degrees where it is continuous."""
+        candidate = self.review.candidate
+        if candidate is not None:
+            step = 360.0 / candidate.fold if candidate.fold else 15.0
+            self.change(angle=(round(self.picture.look.angle / step) + by) * step % 360.0, playing=False)
 
-    # ---------------------------------------------------------------- showing
-    def _update(self) -> None:
-        """Say how things stand, and draw what is looked at."""
-        review = self._review
-        with self._lock:
-            self._head.content = heading(review)
-            self._list.content = list_of_candidates(review)
-            if self._object.value != str(review.state.obj_id):
-                self._object.value = str(review.state.obj_id)
-            candidate = review.candidate
-            shown = (review.state.obj_id, review.state.position, candidate is None)
-            if candidate is not None and shown != self._drawn_of():
-                self._fit_slider(candidate)
-            self._draw()
-
-    def _drawn_of(self) -> object:
-        return self._drawn[:3] if isinstance(self._drawn, tuple) else None
-
-    def _fit_slider(self, candidate: Candidate) -> None:
-        """A discrete symmetry has few angles, a continuous one any."""
-        step = 360.0 / candidate.fold if candidate.fold else 0.5
-        self._angle.step = step
-        self._angle.value = step if candidate.fold else 90.0
-
-    def _draw(self) -> None:
-        with self._lock, self.server.viser.atomic():
-            review = self._review
-            state, candidate = review.state, review.candidate
-            wanted = (state.obj_id, state.position, candidate is None, self._angle.value, self._chosen_view)
-            if wanted == self._drawn:
-                return
-            self._drawn = wanted
-            model = review.models[state.obj_id]
-            center, size = _box(model)
-            self._draw_model(model, center, size)
-            search = review.searches.get(state.obj_id)
-            if candidate is None or not isinstance(search, SymmetrySearch):
-                self._drop("/turned", "/axis", "/distance")
-                return
-            turn = candidate.axis.turn(np.radians(self._angle.value))
-            self._draw_axis(candidate.axis, center, size)
-            if self._chosen_view == "distance":
-                self._draw_distance(search, turn, center, size)
-                self._drop("/turned")
-            else:
-                self._drop("/distance")
-                vertices = (transform_points(turn, model.vertices) - center) / size
-                self._mesh("/turned", vertices, model, TURNED_COLOR, 0.55)
-
-    def _drop(self, *names: str) -> None:
-        for name in names:
-            if name in self._handles:
-                self._handles.pop(name).remove()
-        if "/distance" in names:
-            self._scale.content = ""
-
-    def _draw_model(self, model: Model, center: Float[np.ndarray, "3"], size: float) -> None:
-        vertices, scene = (model.vertices - center) / size, self.server.viser.scene
-        if model.colors is not None and self._chosen_view == "blink":
-            import trimesh
-
-            mesh = trimesh.Trimesh(vertices, model.faces, vertex_colors=model.colors, process=False)
-            self._handles["/model"] = scene.add_mesh_trimesh("/model", mesh, cast_shadow=False)
-            return
-        self._mesh("/model", vertices, model, MODEL_COLOR, 0.25 if self._chosen_view == "distance" else None)
-
-    def _mesh(
-        self,
-        name: str,
-        vertices: Float[np.ndarray, "v 3"],
-        model: Model,
-        color: tuple[int, int, int],
-        opacity: float | None,
-    ) -> None:
-        self._handles[name] = self.server.viser.scene.add_mesh_simple(
-            name,
-            vertices.astype(np.float32),
-            model.faces.astype(np.uint32),
-            color=color,
-            opacity=opacity,
-            flat_shading=True,
-            side="double",
-            cast_shadow=False,
-            receive_shadow=False,
-        )
-
-    def _draw_axis(self, axis: Axis, center: Float[np.ndarray, "3"], size: float) -> None:
-        """The axis from one side of the model to the other."""
-        middle = axis.through + (axis.direction @ (center - axis.through)) * axis.direction
-        ends = (
-            np.array([middle - 0.75 * size * axis.direction, middle + 0.75 * size * axis.direction]) - center
-        ) / size
-        self._handles["/axis"] = self.server.viser.scene.add_line_segments(
-            "/axis", ends[None].astype(np.float32), (90, 170, 255), thickness=3.0, thickness_units="screen"
-        )
-
-    def _draw_distance(
-        self, search: SymmetrySearch, turn: Float[np.ndarray, "4 4"], center: Float[np.ndarray, "3"], size: float
-    ) -> None:
-        """Points of the turned surface, coloured by their distance to the surface."""
-        surface = search.surface
-        points = surface.samples[:: max(1, len(surface.samples) // POINTS)] + surface.center
-        moved = transform_points(turn, points)
-        distances = surface.distances(moved - surface.center)
-        largest = max(search.bound, 1e-6)
-        self._handles["/distance"] = self.server.viser.scene.add_point_cloud(
-            "/distance",
-            ((moved - center) / size).astype(np.float32),
-            _heat(distances / largest),
-            point_size=0.008,
-            point_shape="rounded",
-            precision="float32",
-            point_shading="flat",
-        )
-        self._scale.content = scale(float(distances.max()), largest)
-
-    def _blink(self) -> None:
-        blinking, first = False, False
-        while not self._stopped.wait(PERIOD_SECONDS):
-            wanted = self._chosen_view == "blink" and self._review.candidate is not None
-            first = wanted and not first
-            if wanted or blinking:
-                self._set_visible(model=first or not wanted, turned=not first)
-            blinking = wanted
-
-    def _set_visible(self, *, model: bool, turned: bool) -> None:
-        with self._lock:
-            for name, visible in (("/model", model), ("/turned", turned)):
-                if name in self._handles:
-                    self._handles[name].visible = visible
-
-
-def search_all(review: Review, find: Callable[[Model], SymmetrySearch]) -> None:
-    """Search object by object, in the background of a page or not."""
-    for done, (obj_id, model) in enumerate(review.models.items(), start=1):
+    def save(self) -> None:
+        """Write what is unsaved; what goes wrong is told."""
         try:
-            found: SymmetrySearch | InputError = find(model)
+            self.review.save()
         except InputError as error:
-            found = error
-        review.add(obj_id, found, done / len(review.models))
+            self.review.tell(str(error), "warning")
 
+    def look_home(self) -> None:
+        """Turn every browser's camera to where it was at first."""
+        self._look_from(np.array(EYE), np.eye(3)[2])
 
-def _box(model: Model) -> tuple[Float[np.ndarray, "3"], float]:
-    low, high = model.vertices.min(axis=0), model.vertices.max(axis=0)
-    return (low + high) / 2, max(float(np.linalg.norm(high - low)), 1e-9)
+    def look_along(self) -> None:
+        """Turn every browser's camera into the candidate's axis."""
+        candidate = self.review.candidate
+        if candidate is None:
+            return
+        direction = candidate.axis.direction
+        up = np.eye(3)[2] if abs(direction[2]) < 0.9 else np.eye(3)[1]
+        self._look_from(1.7 * direction, up)
 
+    def _look_from(self, eye: Float[np.ndarray, "3"], up: Float[np.ndarray, "3"]) -> None:
+        for client in self.server.viser.get_clients().values():
+            with client.atomic():
+                client.camera.up_direction = up
+                client.camera.position = eye
+                client.camera.look_at = np.zeros(3)  # after the position, which moves it along
 
-def _heat(shares: Float[np.ndarray, "n"]) -> UInt8[np.ndarray, "n 3"]:
-    """Colours of shares 0..1: dark blue, green, yellow, red."""
-    stops = np.array([[40, 60, 150], [40, 170, 140], [250, 220, 60], [230, 50, 40]], float)
-    at = np.clip(shares, 0, 1) * (len(stops) - 1)
-    return np.stack([np.interp(at, np.arange(len(stops)), stops[:, i]) for i in range(3)], axis=1).astype(np.uint8)
+    # ------------------------------------------------------------------ showing
+    def _changed(self) -> None:
+        """Something is different now: draw and publish."""
+        self.picture.draw()
+        self._publish()
+
+    def _publish(self) -> None:
+        if not self._stopped.is_set():  # a search that is under way goes on telling
+            self.channel.publish(**page_state(self.review, self.picture.look, self.picture.measured_mm))
+
+    # ------------------------------------------------------------------ building
+    def _build(self, server: viser.ViserServer) -> None:
+        self._theme()
+        server.scene.set_up_direction("+z")
+        server.initial_camera.position = EYE
+        server.initial_camera.look_at = (0.0, 0.0, 0.0)
+        server.initial_camera.near = 0.01
+        panel = server.gui.add_panel()
+        with panel.add_tab("Symmetries"):
+            server.gui.add_html(f'<div id="ps-root" data-key="{self.channel.key}"></div>')
+        panel.dock_left()
+        panel.set_width(PANEL_WIDTH)
+        server.gui.main_panel.float(x=-10, y=10, width=170)
+        server.gui.main_panel.minimize()
+        for command in COMMANDS:
+            handle = server.gui.add_command(command.label, description=command.shown_key or command.key)
+            handle.on_trigger(lambda _, name=command.name: self.command(name))
+
+    def _theme(self) -> None:
+        dark = self.picture.look.dark
+        self.server.viser.gui.configure_theme(dark_mode=dark, show_logo=False, show_share_button=False)

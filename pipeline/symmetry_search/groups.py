@@ -1,6 +1,6 @@
 """What a symmetry is: an axis with turns, and sets of turns that are closed."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -12,6 +12,8 @@ Kind = Literal["discrete", "continuous", "sphere"]
 
 STEPS = 72
 """Turns that stand for a continuous symmetry where it is compared."""
+SOME_FOLDS = (12, 10, 8, 6, 5, 4, 3, 2)
+"""Folds that are offered as parts of a continuous symmetry."""
 SAME_TURN = 0.1
 """Share of the radius: turns that carry no point farther apart than this are the same one."""
 
@@ -69,6 +71,19 @@ class Candidate:
         if self.kind != "sphere":
             return (self.axis,)
         return tuple(Axis(direction, self.axis.through) for direction in np.eye(3))
+
+    @property
+    def smaller_folds(self) -> tuple[int, ...]:
+        """Folds of symmetries that are part of this one, as where colours leave only some turns."""
+        if self.kind == "sphere":
+            return ()
+        if self.kind == "continuous":
+            return SOME_FOLDS
+        return tuple(fold for fold in range(self.fold // 2, 1, -1) if self.fold % fold == 0)
+
+    def with_fold(self, fold: int) -> "Candidate":
+        """The part of this symmetry that has a smaller fold."""
+        return replace(self, kind="discrete", fold=fold)
 
     def __str__(self) -> str:
         return {"discrete": f"{self.fold}-fold", "continuous": "continuous", "sphere": "any rotation"}[self.kind]

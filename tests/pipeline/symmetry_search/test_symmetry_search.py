@@ -13,7 +13,7 @@ from pipeline.geometry import inverse, transform_points
 from pipeline.scene import Model
 from pipeline.symmetry_search.search import SymmetrySearch, candidate_bound, find_symmetries
 
-PARTS = Path(__file__).resolve().parent.parent.parent / "assets" / "models"
+PARTS = Path(__file__).resolve().parent.parent.parent.parent / "assets" / "models"
 OFFSET = np.array([0.01, -0.02, 0.005])
 """Where the middle of the shapes is in their model frame."""
 
