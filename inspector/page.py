@@ -32,11 +32,6 @@ HEAD = "".join(
 """Goes into the page's head."""
 
 
-def style_sheet() -> str:
-    """Our style sheet for the head of a page that has none of our scripts."""
-    return f"<style>{(resources.files('inspector') / 'web' / 'inspector.css').read_text('utf-8')}</style>"
-
-
 PATIENCE = 6.0
 """Seconds after which a request for news is answered though there is none (websockets gives up after 10)."""
 

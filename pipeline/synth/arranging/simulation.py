@@ -8,6 +8,7 @@ foresee what would happen within a step, so that fast bodies do not pass through
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from typing import Any
 
@@ -17,6 +18,8 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.geometry import transform
 from pipeline.synth.arranging.convex_pieces import Pieces
+
+log = logging.getLogger(__name__)
 
 STEP = 0.002
 """Seconds of one step of the simulation."""
@@ -51,6 +54,7 @@ class Simulation:
         import mujoco as _mujoco
 
         self._mujoco: Any = _mujoco  # its names come from a compiled module that type checkers cannot read
+        self._mujoco.set_mju_user_warning(log.warning)  # else they go to a file in the current folder
         self._bodies = list(bodies)
         self._model = _spec(self._mujoco, bodies, statics, walls, margin).compile()
         self._data = self._mujoco.MjData(self._model)
