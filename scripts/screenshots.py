@@ -30,9 +30,9 @@ SYNTHESIZED = (
 """Images of the demo that stand side by side."""
 PICTURES = {
     "image": ("row=3,2,3,6,-1&follow=1", []),
-    "scene": ("row=2,7,5,4,-1&view=scene&display.others=1", ["Curves"]),
+    "scene": ("row=2,3,5,5,-1&view=scene&display.others=1", ["Curves"]),
     "leaderboard": ("board.open=1", []),
-    "vsd": ("row=2,2,4,3,-1&follow=1&display.style=fill", ["VSD"]),
+    "vsd": ("row=2,2,4,4,-1&follow=1&display.style=fill", ["VSD"]),
 }
 """Name, what the address asks for, and the tab on the right."""
 

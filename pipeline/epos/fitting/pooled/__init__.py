@@ -1,0 +1,1 @@
+"""One search for all instances of an object: the default scheme."""

@@ -1,0 +1,1 @@
+"""Training the network of EPOS (thesis sec. epos_network_training)."""
