@@ -4,6 +4,7 @@
 .PHONY: help serve setup test check bench clean
 
 ARGS ?=
+JOBS ?= 2
 PYTHON ?=
 export PYTHON
 export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1# it would ask the network for a newer version
@@ -19,7 +20,7 @@ setup:  ## Set up all that tests and development need: .venv, system libraries, 
 	@scripts/setup.sh test
 
 test: setup  ## Run the tests; some of them only: make test ARGS="tests/pipeline -k pose"
-	.venv/bin/pytest $(ARGS)
+	.venv/bin/pytest -n $(JOBS) --dist loadfile $(ARGS)
 
 check: setup  ## Look for faults without running: lint, format, types, layers
 	.venv/bin/ruff check

@@ -19,8 +19,8 @@ from pipeline.geometry import inverse, rotation_error, transform, transform_poin
 from pipeline.rendering import render_scene
 from pipeline.scene import Camera
 from pipeline.synth.boards import BoardPose, MarkerBoard, board_scene, board_sequence, camera_pose, detect, framed_board
-from pipeline.synth.materials import random_material
 from pipeline.synth.demo.part_files import part_model
+from pipeline.synth.materials import random_material
 from pipeline.synth.sensors import depth_sensor, sensor_camera
 from pipeline.synth.tracing.mitsuba_scene import Object
 from pipeline.synth.tracing.path_tracer import PathTracer

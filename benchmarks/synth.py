@@ -4,8 +4,9 @@
 
 Each row is one run of `synthesize`: a scene of our parts, arranged by physics, its 640 x 480 images written with masks
 and annotations. Wall seconds of the run, wall and CPU seconds per image once the scene stands (the arrangement and the
-compilation of the first image are listed apart), CPU seconds of all processes. The last column relates the wall time per
-image to that of the first row of its group. Nothing is asserted; a busy machine makes all of it larger.
+compilation of the first image are listed apart, added over the processes), CPU seconds of all processes. The last column
+relates the images per second to those of the first row. All processes together use as many threads as there are cores.
+Nothing is asserted; a busy machine makes all of it larger.
 `benchmarks/path_tracer.py` looks into path tracing itself.
 """
 
@@ -15,6 +16,7 @@ import resource
 import tempfile
 import time
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -23,7 +25,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from pipeline.parallel import open_workers
+from pipeline.parallel.local import LocalWorkers
 from pipeline.synth.generation.config import PastedScene, SynthesisConfig, TracedScene
 from pipeline.synth.generation.config_file import read_config
 from pipeline.synth.generation.run import synthesize
@@ -56,10 +58,16 @@ class Run(NamedTuple):
     images: int
     seconds: dict[str, float]
     """Wall seconds of the stages, added over images and processes."""
+    processes: int
+
+    @property
+    def rate(self) -> float:
+        """Images per second of all processes together, setting up not counted."""
+        return self.processes / self.per_image
 
     @property
     def per_image(self) -> float:
-        """Wall seconds of an image, setting up not counted."""
+        """Wall seconds that one process takes for an image, setting up not counted."""
         made = sum(value for name, value in self.seconds.items() if name != "setup")
         return made / self.images
 
@@ -74,11 +82,11 @@ def run(config: SynthesisConfig, processes: int) -> Run:
     """Make the dataset in an empty folder, which is removed."""
     with tempfile.TemporaryDirectory() as folder:
         before, start = used(), time.perf_counter()
-        with open_workers(processes) as workers:
+        with closing(LocalWorkers(processes)) as workers:
             synthesize(config, Path(folder) / "set", workers, processes)
         wall, cpu = time.perf_counter() - start, used() - before
         summary = json.loads((Path(folder) / "set" / config.split / "synthesis.json").read_text())
-    return Run(wall, cpu, summary["images"], summary["seconds"])
+    return Run(wall, cpu, summary["images"], summary["seconds"], processes)
 
 
 def traced(config: Config, preset: str) -> SynthesisConfig:
@@ -109,10 +117,9 @@ def show(title: str, runs: Sequence[tuple[str, Run]], console: Console) -> None:
         parts = [
             f"{made.seconds[s] / (1 if s == 'setup' else made.images):.3f}" if s in made.seconds else "" for s in stages
         ]
-        rate = made.images / (made.wall - min(made.seconds.get("setup", 0.0), 0.9 * made.wall))
-        ratio = made.wall / made.images / (first.wall / first.images)
+        ratio = made.rate / first.rate
         table.add_row(
-            name, str(made.images), f"{made.wall:.1f}", f"{made.cpu:.1f}", f"{made.per_image:.3f}", *parts, f"{rate:.2f}", f"{ratio:.2f}"
+            name, str(made.images), f"{made.wall:.1f}", f"{made.cpu:.1f}", f"{made.per_image:.3f}", *parts, f"{made.rate:.2f}", f"{ratio:.2f}"
         )  # fmt: skip
     console.print(table)
 

@@ -51,7 +51,7 @@ class SynthesizeConfig:
     """Of path tracing."""
     seed: int | None = None
     workers: int | None = None
-    """Processes that work at once; by default as many as there are cores."""
+    """Processes that work at once; by default one for every two cores, which it uses both."""
     scheduler: str | None = None
     """Address of a Dask scheduler whose workers are taken instead, such as tcp://10.0.0.1:8786; they need the same files
     at the same paths."""
@@ -90,12 +90,12 @@ def _make(asked: SynthesisConfig, config: SynthesizeConfig, console: Console) ->
 
     assert config.out is not None
     out = config.out.absolute()
-    count = config.workers or len(os.sched_getaffinity(0))
+    count = config.workers or min(_processes(asked), asked.images)
     begun = time.monotonic()
     try:
         with (
             interruptible() as check,
-            open_workers(None if config.scheduler else min(count, asked.images), config.scheduler) as workers,
+            open_workers(None if config.scheduler else count, config.scheduler) as workers,
             _progress(console, asked.images) as progress,
         ):
             made = synthesize(asked, out, workers, count, progress)
@@ -111,6 +111,12 @@ def _make(asked: SynthesisConfig, config: SynthesizeConfig, console: Console) ->
         f"look at it: inspector serve {out} --split {asked.split}", markup=False, soft_wrap=True, highlight=False
     )
     return 0
+
+
+def _processes(asked: SynthesisConfig) -> int:
+    """How many pay: a path tracer keeps two cores busy, and every process has to set its scenes up."""
+    cores = len(os.sched_getaffinity(0))
+    return cores if all(scene.kind == "pasted" for scene in asked.scene) else max(1, cores // 2)
 
 
 def _changed(asked: SynthesisConfig, config: SynthesizeConfig) -> SynthesisConfig:
