@@ -107,6 +107,8 @@ class Table:
         instances = counts["correct"] + counts["wrong"] + counts["missing"]
         if len(self) and (self.assessment.obj_id == NO_OBJECT).all():
             return f"{len(self)} images, no ground truth and no results: open them with --results FILE"
+        if not instances and len(self) and (self.assessment.estimate < 0).all():
+            return f"{len(self)} annotated instances; compare results with them: --results FILE"
         if not instances:
             return f"{len(self)} rows, no ground truth to compare with" if len(self) else "no rows"
         share = 100 * counts["correct"] / instances

@@ -90,7 +90,7 @@ def _make(asked: SynthesisConfig, config: SynthesizeConfig, console: Console) ->
 
     assert config.out is not None
     out = config.out.absolute()
-    count = config.workers or min(_processes(asked), asked.images)
+    count = max(1, min(_processes(asked), asked.images)) if config.workers is None else config.workers
     begun = time.monotonic()
     try:
         with (
@@ -151,15 +151,15 @@ class _Speed(ProgressColumn):
 
 @contextmanager
 def _progress(console: Console, total: int) -> Iterator[Callable[[int], None]]:
-    columns = (TextColumn("images"), BarColumn(), MofNCompleteColumn(), _Speed(), TimeRemainingColumn())
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), _Speed(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True, speed_estimate_period=300) as bars:
-        task = bars.add_task("", total=total, start=False)
+        task = bars.add_task("setting the first scene up", total=total, start=False)
 
         def show(done: int) -> None:
-            if bars.tasks[0].started:
-                bars.update(task, completed=done)
-            else:  # what is done already tells nothing of the speed
+            if not bars.tasks[0].started:  # what is done already tells nothing of the speed
                 bars.reset(task, completed=done)
+            elif done > bars.tasks[0].completed:
+                bars.update(task, completed=done, description="images")
 
         yield show
 

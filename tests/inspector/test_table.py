@@ -159,7 +159,7 @@ def test_with_ground_truth_alone_nothing_is_missing():
     nothing = {name: DEPTHLESS for name in ("score", "mssd", "mspd", "add", "vsd")}
     table = table_of(estimate=[-1] * 6, gt_index=[0, 1, 0, 1, 0, 0], **nothing)
     assert set(statuses(table)) == {"unknown"}
-    assert table.summary == "6 rows, no ground truth to compare with"
+    assert table.summary == "6 annotated instances; compare results with them: --results FILE"
 
 
 def test_a_method_that_found_nothing_misses_everything():

@@ -40,6 +40,9 @@ def make_recipes(config: SynthesisConfig) -> dict[int, Recipe[Any]]:
         raise InputError("no [[scene]]; give at least one table [[scene]] with its kind")
     if not config.split or Path(config.split).name != config.split:
         raise InputError(f"split is {config.split!r}; give the name of a folder, such as train_pbr")
+    for name in ("seed", "first_scene"):
+        if (value := getattr(config, name)) < 0:
+            raise InputError(f"{name} is {value}; give 0 or more")
     if not 0 < config.depth_scale < 100:
         raise InputError(f"depth_scale is {config.depth_scale:g}; give the millimetres of one step, such as 0.1")
     library = ModelLibrary(config.models)

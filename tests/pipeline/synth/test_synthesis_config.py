@@ -118,6 +118,7 @@ def test_an_object_falls_unless_it_is_to_stand(tmp_path: Path):
         ('[depth]\nsensor = "leica"\n[[scene]]\nkind = "pasted"', "leica"),
         ('depth_scale = 0\n[[scene]]\nkind = "pasted"', "depth_scale is 0"),
         ('split = "a/b"\n[[scene]]\nkind = "pasted"', "split is 'a/b'"),
+        ('seed = -1\n[[scene]]\nkind = "pasted"', "seed is -1; give 0 or more"),
         ("seed = ", "is no TOML"),
     ],
 )
