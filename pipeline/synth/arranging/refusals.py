@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import warnings
+import logging
 from collections.abc import Sequence
 
 import numpy as np
@@ -13,14 +13,12 @@ from pipeline.synth.arranging.arrangement import EmptyStageError, NothingToArran
 from pipeline.synth.arranging.watertight import is_watertight
 from pipeline.synth.worlds.world import Stage
 
+log = logging.getLogger(__name__)
+
 LEAST_DIAMETER, MOST_DIAMETER = 0.001, 3.0
 """Metres: what is outside is in the wrong unit."""
 LEAST_AREA = 1e-4
 """Square metres of a stage."""
-
-
-class OpenMeshWarning(UserWarning):
-    """A mesh is not closed: what is inside of it is a matter of opinion."""
 
 
 def refuse_bad_models(models: Sequence[Model]) -> None:
@@ -44,8 +42,7 @@ def _warn_of_open_mesh(model: Model) -> bool:
     """Warn once per model."""
     closed = is_watertight(model)
     if not closed:
-        text = f"object {model.obj_id}: not watertight; its inside is taken to be where most of seven rays say so"
-        warnings.warn(text, OpenMeshWarning, stacklevel=4)
+        log.warning("object %d: not watertight; its inside is where most of seven rays say so", model.obj_id)
     return True
 
 

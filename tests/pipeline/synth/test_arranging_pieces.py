@@ -1,6 +1,5 @@
 """Convex pieces: they contain the surface of any mesh, keep out of its hollows, and are few."""
 
-import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -123,23 +122,20 @@ def test_watertight_is_told_also_where_vertices_are_repeated():
     assert not is_watertight(replace(part_model(2), faces=part_model(2).faces[1:]))
 
 
-def test_an_open_mesh_works_and_warns_once():
+def test_an_open_mesh_works_and_warns_once(caplog: pytest.LogCaptureFixture):
     world, tray = pedestal(), open_tray()
-    with pytest.warns(UserWarning, match="object 61: not watertight"):
-        arrangement = arrange(world, world.stages[0], [tray], Falling(instances=(2, 2)), rng())
+    arrangement = arrange(world, world.stages[0], [tray], Falling(instances=(2, 2)), rng())
     assert len(arrangement.models) == 2
     assert check(world, arrangement).faults == []
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        arrange(world, world.stages[0], [tray], Standing(), rng())
+    arrange(world, world.stages[0], [tray], Standing(), rng())
+    assert caplog.text.count("object 61: not watertight") == 1
 
 
 def test_a_flat_sheet_lies_on_the_stage():
     corners = np.array([[-0.05, -0.04, 0], [0.05, -0.04, 0], [0.05, 0.04, 0], [-0.05, 0.04, 0.0]])
     paper = Model(62, corners, np.array([[0, 1, 2], [0, 2, 3]], np.int32), 0.13)
     world = pedestal()
-    with pytest.warns(UserWarning, match="object 62"):
-        arrangement = arrange(world, world.stages[0], [paper], Falling(heights=(0.05, 0.1)), rng())
+    arrangement = arrange(world, world.stages[0], [paper], Falling(heights=(0.05, 0.1)), rng())
     assert arrangement.world_from_models[0][2, 3] == pytest.approx(0.4, abs=0.0006)
 
 
