@@ -260,8 +260,8 @@ def test_photographs_come_from_the_code() -> None:
     assert committed is not None
     reference = cv2.resize(committed, made.shape[1::-1], interpolation=cv2.INTER_AREA)
     difference = np.abs(made.astype(float) - reference)
-    assert difference.mean() < 4.0
-    assert np.percentile(difference, 99) < 35.0
+    assert difference.mean() < 6.0
+    assert np.percentile(difference, 99) < 50.0
 
 
 def test_says_what_it_was_made_with() -> None:
