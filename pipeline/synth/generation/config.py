@@ -6,6 +6,7 @@ traced), `pasted` (render & paste), and `board` (a marker board on a turntable).
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -68,7 +69,7 @@ class DistractorConfig:
 
 
 @dataclass(frozen=True)
-class SceneConfig:
+class SceneConfig(ABC):
     """What scenes of all kinds have."""
 
     kind: ClassVar[str]
@@ -81,14 +82,14 @@ class SceneConfig:
     """In place of the dataset's."""
 
     @property
+    @abstractmethod
     def sets(self) -> int:
         """Number of parts of a scene that are made at one go: arrangements, or turns of a turntable."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def images_per_set(self) -> int:
         """Images of such a part."""
-        raise NotImplementedError
 
     @property
     def name(self) -> str:
