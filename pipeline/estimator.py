@@ -8,7 +8,6 @@ from pipeline.scene import Image, PoseEstimate, Target
 
 
 @runtime_checkable
-@runtime_checkable
 class Estimator(Protocol):
     """A method that estimates the poses of known objects in an image."""
 

@@ -20,7 +20,6 @@ Function = Callable[[Shared, Item], Result]
 
 
 @runtime_checkable
-@runtime_checkable
 class Workers(Protocol):
     """Those who do the work; for one thread at a time."""
 

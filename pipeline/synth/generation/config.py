@@ -200,7 +200,7 @@ class BoardScene(SceneConfig):
     elevations_deg: tuple[float, ...] = TLESS_TEST[1]
     distance: float = 0.7
     """Metres from the camera to the point that it looks at, a little above the middle of the board."""
-    board: BoardLayout = field(default_factory=lambda: BoardLayout())
+    board: BoardLayout = field(default_factory=BoardLayout)
     seed: int | None = None
     """Of the room; by default another one for each scene."""
     count: Count | None = None

@@ -163,3 +163,14 @@ def test_damaged_text_is_told(tmp_path: Path):
     path.write_bytes(b"\xff\xfe")
     with pytest.raises(FormatError, match="is no TOML"):
         read_config(path)
+
+
+def test_the_configuration_in_the_readme_can_be_read(tmp_path: Path):
+    import re
+
+    readme = (Path(__file__).parents[3] / "README.md").read_text("utf-8")
+    found = re.search(r"```toml\n(.*?)```", readme, re.DOTALL)
+    assert found
+    config = config_of(tmp_path, found[1].replace("# cameras_of", "cameras_of"))
+    assert config.images == 2 * 40 * 25
+    assert config.scene[0].cameras_of == tmp_path / "path" / "to" / "lmo"  # type: ignore[union-attr]
