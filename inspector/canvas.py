@@ -4,80 +4,16 @@ All coordinates are those of the image's camera (OpenCV: x right, y down, z forw
 """
 
 import threading
-from collections.abc import Callable, Hashable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 import viser
-from jaxtyping import Float, Int, UInt8
 from scipy.spatial.transform import Rotation
 
+from inspector.nodes import Cloud, ColoredMesh, Lines, Mesh, Node, Picture, Viewpoint
 from inspector.viewport import plane_of
-from pipeline.scene import Camera, ImageKey
-
-
-@dataclass(frozen=True)
-class Picture:
-    """An image on the plane at depth `z` that the camera sees exactly as its image."""
-
-    token: Hashable
-    """Equal tokens mean equal pixels: they are neither made nor sent again."""
-    pixels: Callable[[], UInt8[np.ndarray, "h w c"]]
-    """RGB, or RGBA with straight alpha; of any resolution."""
-    camera: Camera
-    z: float
-    edges: tuple[float, float, float, float] | None = None
-    """Left, top, right and bottom edge in image pixels, where it covers a part of the image only."""
-
-
-@dataclass(frozen=True)
-class Mesh:
-    """A triangle mesh of one colour."""
-
-    token: Hashable
-    vertices: Callable[[], Float[np.ndarray, "v 3"]]
-    faces: Int[np.ndarray, "f 3"]
-    color: tuple[int, int, int]
-    opacity: float
-    wireframe: bool = False
-
-
-@dataclass(frozen=True)
-class Cloud:
-    """Coloured points."""
-
-    token: Hashable
-    points: Callable[[], tuple[Float[np.ndarray, "n 3"], UInt8[np.ndarray, "n 3"]]]
-    """Positions and colours."""
-    size: float
-    """Metres."""
-
-
-@dataclass(frozen=True)
-class Lines:
-    """Line segments of one colour."""
-
-    token: Hashable
-    segments: Float[np.ndarray, "n 2 3"]
-    color: tuple[int, int, int]
-    width: float = 2.0
-    """Screen pixels."""
-
-
-@dataclass(frozen=True)
-class Viewpoint:
-    """The camera of another image; a click on it goes there."""
-
-    token: Hashable
-    image: ImageKey
-    camera: Camera
-    camera_from_other: Float[np.ndarray, "4 4"]
-    scale: float
-    """Metres; size of the drawn frustum."""
-
-
-Node = Picture | Mesh | Cloud | Lines | Viewpoint
+from pipeline.scene import ImageKey
 
 
 class _Shown(NamedTuple):
@@ -133,10 +69,12 @@ def _looks(node: Node) -> tuple:
             return (node.z, node.edges, node.camera.width, node.camera.height, node.camera.K.tobytes())
         case Mesh():
             return (node.color, node.opacity, node.wireframe)
+        case ColoredMesh():
+            return ()
         case Cloud():
             return (node.size,)
         case Lines():
-            return (node.color, node.width)
+            return (node.color if isinstance(node.color, tuple) else None, node.width)
         case Viewpoint():
             return (node.scale,)
 
@@ -177,6 +115,13 @@ def _add_mesh(scene: viser.SceneApi, name: str, node: Mesh) -> viser.MeshHandle:
     )
 
 
+def _add_colored_mesh(scene: viser.SceneApi, name: str, node: ColoredMesh) -> viser.GlbHandle:
+    import trimesh
+
+    mesh = trimesh.Trimesh(node.vertices(), node.faces, vertex_colors=node.colors(), process=False)
+    return scene.add_mesh_trimesh(name, mesh, cast_shadow=False, receive_shadow=False)
+
+
 def _add_cloud(scene: viser.SceneApi, name: str, node: Cloud) -> viser.PointCloudHandle:
     points, colors = node.points()
     # float16 would round points at 1 m to half a millimetre.
@@ -193,8 +138,13 @@ def _add_cloud(scene: viser.SceneApi, name: str, node: Cloud) -> viser.PointClou
 
 def _add_lines(scene: viser.SceneApi, name: str, node: Lines) -> viser.LineSegmentsHandle:
     return scene.add_line_segments(
-        name, node.segments.astype(np.float32), node.color, thickness=node.width, thickness_units="screen"
+        name, node.segments.astype(np.float32), _ends(node.color), thickness=node.width, thickness_units="screen"
     )
+
+
+def _ends(color: tuple[int, int, int] | np.ndarray) -> tuple[int, int, int] | np.ndarray:
+    """Colours of both ends of each segment, as viser wants them."""
+    return color if isinstance(color, tuple) else color[:, None].repeat(2, axis=1)
 
 
 def _add_viewpoint(scene: viser.SceneApi, name: str, node: Viewpoint) -> viser.CameraFrustumHandle:
@@ -217,6 +167,7 @@ def _add_viewpoint(scene: viser.SceneApi, name: str, node: Viewpoint) -> viser.C
 _ADD: dict[type, Callable[[viser.SceneApi, str, Any], Any]] = {
     Picture: _add_picture,
     Mesh: _add_mesh,
+    ColoredMesh: _add_colored_mesh,
     Cloud: _add_cloud,
     Lines: _add_lines,
     Viewpoint: _add_viewpoint,

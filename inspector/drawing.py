@@ -2,15 +2,15 @@
 
 from collections.abc import Callable, Hashable
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from inspector import layers
-from inspector.canvas import Cloud, Lines, Mesh, Node, Picture, Viewpoint
 from inspector.frame import ROLES, Frame, Role
 from inspector.layers import ColorScale, Rgba
+from inspector.nodes import Cloud, Drawing, Lines, Mesh, Node, Viewpoint
+from inspector.planes import FRUSTUM, brought_to_front, depths_of, picture
 from inspector.recorded import layer_of
 from inspector.selection import Display, Selection
 from pipeline import geometry
@@ -26,22 +26,10 @@ LEVELS: dict[Role, int] = {"compared": 0, "estimate": 1, "ground_truth": 2}
 """Order of the outlines, far to near; those on top are thinner, so that equal poses show all their colours."""
 WITNESS_COLORS = ((255, 60, 60), (255, 200, 0))
 """Of the lines between the vertices that decide MSSD and MSPD."""
-BEHIND = 5.0
-"""Metres; the image plane stands at least this far away, behind everything."""
-FRUSTUM = 0.15
-"""Length of the camera's frustum in 3D, as a share of the distance to the object."""
 CLOUD_POINTS = 200_000
 """More points than this are thinned out."""
 DIFFERENCE_LIMIT = 0.02
 """Metres at which the colours of depth differences saturate."""
-
-
-class Drawing(NamedTuple):
-    """Nodes for the canvas, and what the colours of the layers mean."""
-
-    nodes: dict[str, Node]
-    scales: tuple[ColorScale, ...]
-    warnings: tuple[str, ...]
 
 
 def draw(frame: Frame, selection: Selection) -> Drawing:
@@ -54,15 +42,14 @@ class _Draughtsman:
 
     def __init__(self, frame: Frame, selection: Selection) -> None:
         self.frame = frame
+        self.selection = selection
         self.display: Display = selection.display
         self.image_view = selection.view == "image"
         self.close_up = selection.close_up
         self.nodes: dict[str, Node] = {}
         self.scales: list[ColorScale] = []
         self.warnings: list[str] = [*frame.problems, *_unknown(frame)]
-        poses = [pose for role in COLORS if (pose := frame.pose(role)) is not None and np.isfinite(pose).all()]
-        depths = [float(pose[2, 3]) for pose in poses if pose[2, 3] > 0] or [1.0]
-        self.nearest, self.farthest = min(depths), max(depths)
+        self.nearest, _ = depths_of(frame)
 
     def draw(self) -> Drawing:
         layers_of_view = [self._image, self._depth, self._masks, self._recorded, self._models, self._witness]
@@ -81,20 +68,8 @@ class _Draughtsman:
         level: int,
         edges: tuple[float, float, float, float] | None = None,
     ) -> None:
-        """Add a layer: behind everything in 2D, on the image plane of the small frustum in 3D; higher levels before lower.
-
-        The browser draws transparent planes in the order of their centres' distance. Whole images have the same centre,
-        so a little nearer is enough; parts lie off the axis and have to be nearer by a factor that no angle makes up for.
-        """
-        nearer = 1 - 2e-5 * level if edges is None else 0.5**level
-        z = (max(BEHIND, 2 * self.farthest) if self.image_view else FRUSTUM * self.nearest) * nearer
-        about = self.frame.key if name == "image" else self._about  # the image is the same for all its rows
-        self.nodes[name] = Picture((*about, name, token), pixels, self.frame.camera, z, edges)
-
-    @property
-    def _about(self) -> tuple:
-        frame = self.frame
-        return (frame.row, frame.method, frame.compare, frame.generations)
+        about = self.frame.key if name == "image" else ()  # the image is the same for all its rows
+        self.nodes[name] = picture(self.frame, self.selection, name, token, pixels, level, edges, about)
 
     def _image(self) -> None:
         rgb = self.frame.image.rgb
@@ -218,8 +193,8 @@ class _Draughtsman:
             vertex = model.vertices[witness.vertex]
             at_truth = geometry.transform_points(truth @ model.symmetries[witness.symmetry], vertex)
             ends = np.stack([at_truth, geometry.transform_points(found, vertex)])
-            if self.image_view and (ends[:, 2] > 0).all():  # pulled towards the camera, so that no model hides them
-                ends = ends / ends[:, 2:] * 0.2
+            if self.image_view and (ends[:, 2] > 0).all():
+                ends = brought_to_front(ends)
             self.nodes[f"witness/{name}"] = Lines((name, ends.tobytes()), ends[None], color, width=3.0)
 
     def _points(self) -> None:

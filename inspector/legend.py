@@ -1,11 +1,10 @@
 """What stands over the picture: what is looked at, what the colours mean, and what cannot be shown."""
 
-from collections.abc import Iterable
 from typing import Any
 
 from inspector.drawing import COLORS, WITNESS_COLORS
 from inspector.frame import Frame, Role
-from inspector.layers import ColorScale
+from inspector.nodes import NOTHING, Drawing
 from inspector.selection import Selection
 from pipeline.bop.assessment import NO_OBJECT
 
@@ -17,8 +16,7 @@ def legend(
     frame: Frame | None,
     selection: Selection,
     methods: tuple[str, ...],
-    scales: Iterable[ColorScale] = (),
-    warnings: Iterable[str] = (),
+    drawing: Drawing = NOTHING,
 ) -> list[LegendLine]:
     """Return the lines over the picture of a row."""
     lines = (
@@ -26,9 +24,12 @@ def legend(
     )
     lines += [
         {"text": scale.label, "low": scale.low, "high": scale.high, "stops": [_css(stop) for stop in scale.stops]}
-        for scale in scales
+        for scale in drawing.scales
     ]
-    return lines + [warning(text) for text in warnings]
+    lines += [
+        {"text": text} if color is None else {"text": text, "color": _css(color)} for text, color in drawing.notes
+    ]
+    return lines + [warning(text) for text in drawing.warnings]
 
 
 def warning(text: str) -> LegendLine:

@@ -5,6 +5,7 @@ from jaxtyping import Float
 
 from inspector.frame import Frame
 from inspector.navigation import Navigation
+from inspector.views import Click
 from pipeline import geometry
 from pipeline.ray_casting import first_hit
 
@@ -20,6 +21,13 @@ def readout(frame: Frame, navigation: Navigation, x: float, y: float) -> str:
     role, depth = min(depths.items(), key=lambda item: item[1])
     point = origin + depth * direction
     return f"{role}: camera {_point(point)}{_in_model(frame, point)}"
+
+
+def click_at(navigation: Navigation, x: float, y: float, shift: bool) -> Click:
+    """What a click at a point of the window (shares 0..1) points at."""
+    viewport = navigation.viewport
+    pixel = None if viewport is None else viewport.pixel_at(x, y)
+    return Click(pixel, *navigation.ray(x, y), shift)
 
 
 def hit(frame: Frame, navigation: Navigation, x: float, y: float) -> int | None:

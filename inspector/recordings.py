@@ -5,6 +5,7 @@ import threading
 from pathlib import Path
 
 from inspector.recording_server import RecordingServer
+from pipeline.exceptions import InputError
 from pipeline.recording import RecordingReader
 from pipeline.run import Run
 from pipeline.scene import ImageKey
@@ -40,6 +41,17 @@ class Recordings:
                     self._readers.pop(next(iter(self._readers)))
                 known = self._readers[path] = (written, reader)
         return known[1]
+
+    def stages(self) -> frozenset[str]:
+        """First parts of the paths of what is recorded, such as `epos`; of the method's name alone before there is any."""
+        for image in self._run.finished_images():
+            try:
+                reader = self.reader(image)
+            except InputError:  # the window says it when it comes to the image
+                continue
+            if reader is not None:
+                return frozenset(path.split("/")[0] for path in reader.kinds())
+        return frozenset({self._run.info.method})
 
     def rerun_url(self, key: ImageKey) -> str:
         """Address of rerun's web viewer on the recording of an image, served to this machine only.

@@ -4,9 +4,11 @@ Everything that a person can choose and would want back after a reload or wants 
 here: the target, the methods, the criterion, filters, the layers, the view and the zoom.
 """
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
-from urllib.parse import parse_qsl, urlencode
+
+from inspector.epos.choice import EposChoice
+from inspector.hashmatch.choice import HashMatchChoice
 
 Criterion = Literal["mssd", "mspd", "vsd", "add"]
 View = Literal["image", "scene"]
@@ -126,6 +128,8 @@ class Selection:
     filter: Filter = field(default_factory=Filter)
     display: Display = field(default_factory=Display)
     board: Board = field(default_factory=Board)
+    hashmatch: HashMatchChoice = field(default_factory=HashMatchChoice)
+    epos: EposChoice = field(default_factory=EposChoice)
 
     @property
     def threshold(self) -> float:
@@ -162,104 +166,3 @@ class Selection:
         index = list(DEFAULT_THRESHOLDS).index(self.criterion)
         changed = (*self.thresholds[:index], value, *self.thresholds[index + 1 :])
         return replace(self, thresholds=changed)
-
-
-def to_query(selection: Selection, default: Selection | None = None) -> str:
-    """Write the selection as a URL query; only what differs from `default` is named."""
-    pairs: list[tuple[str, str]] = []
-    for name, value, usual in _leaves(selection, default or Selection()):
-        if value != usual:
-            pairs.append((name, "none" if value is None else _to_text(value)))
-    return urlencode(pairs, safe=",/")
-
-
-def from_query(query: str, default: Selection | None = None) -> Selection:
-    """Read a selection back from a URL query; what is missing or does not parse is as in `default`."""
-    values = dict(parse_qsl(query.lstrip("?")))
-    default = default or Selection()
-    return replace(
-        _read(default, values, prefix=""),
-        filter=_read(default.filter, values, prefix="filter."),
-        display=_read(default.display, values, prefix="display."),
-        board=_read(default.board, values, prefix="board."),
-    )
-
-
-def _leaves(selection: Selection, default: Selection) -> list[tuple[str, object, object]]:
-    found = []
-    for item in fields(selection):
-        value, usual = getattr(selection, item.name), getattr(default, item.name)
-        if isinstance(value, _Part):
-            found += [
-                (f"{item.name}.{part.name}", getattr(value, part.name), getattr(usual, part.name))
-                for part in fields(value)
-            ]
-        else:
-            found.append((item.name, value, usual))
-    return found
-
-
-def _to_text(value: object) -> str:
-    if isinstance(value, bool):
-        return str(int(value))
-    if isinstance(value, tuple):
-        return ",".join(map(_to_text, value))
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
-
-
-_Part = Filter | Display | Board
-_CHOICES: dict[str, tuple[str, ...]] = {
-    "criterion": tuple(DEFAULT_THRESHOLDS),
-    "view": View.__args__,
-    "filter.status": Status.__args__,
-    "display.style": Style.__args__,
-    "display.depth": DepthLayer.__args__,
-    "board.score": Score.__args__,
-    "board.by": Grouping.__args__,
-}
-_OPTIONAL_INTS = {"compare", "filter.obj_id", "filter.scene_id", "board.first", "board.second"}
-_RANGES = {"zoom": (0.2, 200.0), "display.opacity": (0.0, 1.0), "center_u": (-1.0, 2.0), "center_v": (-1.0, 2.0)}
-
-
-def _read(default, values: dict[str, str], prefix: str):
-    changes = {}
-    for item in fields(default):
-        text = values.get(prefix + item.name)
-        if text is None or isinstance(getattr(default, item.name), _Part):
-            continue
-        try:
-            changes[item.name] = _from_text(prefix + item.name, text, getattr(default, item.name))
-        except ValueError:
-            continue
-    return replace(default, **changes)
-
-
-def _from_text(name: str, text: str, usual: object) -> object:
-    if name in _CHOICES:
-        if text not in _CHOICES[name]:
-            raise ValueError(text)
-        return text
-    if name == "row":
-        return RowKey(*map(int, text.split(","))) if text.count(",") == 4 else _raise(text)
-    if name in _OPTIONAL_INTS and text == "none":
-        return None
-    if name in _OPTIONAL_INTS or (isinstance(usual, int) and not isinstance(usual, bool)):
-        return int(text)
-    if isinstance(usual, bool):
-        return bool(int(text))
-    if isinstance(usual, tuple):
-        numbers = tuple(_finite(part) for part in text.split(","))
-        return numbers if len(numbers) == len(usual) else _raise(text)
-    if isinstance(usual, float):
-        lowest, highest = _RANGES.get(name, (-1e9, 1e9))
-        return min(max(_finite(text), lowest), highest)
-    return text
-
-
-def _finite(text: str) -> float:
-    number = float(text)
-    return number if abs(number) < 1e12 else _raise(text)
-
-
-def _raise(text: str):
-    raise ValueError(text)

@@ -12,6 +12,7 @@ import numpy as np
 import viser
 
 from inspector import html
+from inspector.address import from_query, to_query
 from inspector.blinking import Blinker
 from inspector.canvas import Canvas
 from inspector.controls import TableControls
@@ -22,14 +23,15 @@ from inspector.leaderboard.page import LeaderboardPage
 from inspector.leaderboard.service import LeaderboardService
 from inspector.legend import legend, warning
 from inspector.navigation import Navigation
+from inspector.nodes import Drawing
 from inspector.page import PageChannel
-from inspector.panels import VIEWS
+from inspector.panels import views_for
 from inspector.rerun_panel import RerunPanel
-from inspector.selection import NO_EYE, RowKey, Selection, from_query, to_query
+from inspector.selection import NO_EYE, RowKey, Selection
 from inspector.snapshot import snapshot
 from inspector.steering import Steering
 from inspector.table import COLUMNS, Table, make_table
-from inspector.views import Context
+from inspector.views import Context, PictureView
 from inspector.worker import LatestWins
 from inspector.workspace import Workspace
 from inspector.workspaces import Workspaces
@@ -92,7 +94,9 @@ class Session:
         self._seen_from: object = None
         context = Context(client, workspace, lambda: self.selection, self.change, self.command)
         self._controls = TableControls(context)
-        self._views = [view(context) for view in VIEWS]
+        self._views = [view(context) for view in views_for(workspace)]
+        self.picture_views = [view for view in self._views if isinstance(view, PictureView)]
+        """The tabs that add to the picture, in order."""
         self._closed = False
         self._build()
         self._stop_listening = workspace.listen(self.refresh)
@@ -108,21 +112,12 @@ class Session:
         self._worker.stop()
 
     # ------------------------------------------------------------------ the selection
-    def change(
-        self,
-        display: dict[str, Any] | None = None,
-        filter: dict[str, Any] | None = None,
-        board: dict[str, Any] | None = None,
-        **fields: Any,
-    ) -> None:
-        """Change fields of the selection, of its display, filter or leaderboard, and show the result."""
+    def change(self, **fields: Any) -> None:
+        """Change fields of the selection and show the result; a dict changes fields of a part, such as the display."""
         with self._lock:
-            if display:
-                fields["display"] = replace(self.selection.display, **display)
-            if filter:
-                fields["filter"] = replace(self.selection.filter, **filter)
-            if board:
-                fields["board"] = replace(self.selection.board, **board)
+            for name, value in fields.items():
+                if isinstance(value, dict):
+                    fields[name] = replace(getattr(self.selection, name), **value)
             self._chosen |= "row" in fields
             fields = self._of_another_row(fields.get("row")) | fields
             self.update(replace(self.selection, **fields))
@@ -236,7 +231,7 @@ class Session:
             name = (
                 f"{self.workspace.dataset.name}_{row.scene_id}_{row.im_id}_object{row.obj_id}_{self.selection.view}.png"
             )
-            picture = html.png(snapshot(self.client, frame, self.selection))
+            picture = html.png(snapshot(self.client, frame, self.selection, self._drawing(frame, self.selection)))
             self.client.send_file_download(name, picture, save_immediately=True)
 
     def aim(self) -> None:
@@ -296,13 +291,23 @@ class Session:
         if frame is None:
             return legend(frame, selection, names)
         try:
-            drawing = draw(frame, selection)
+            drawing = self._drawing(frame, selection)
             self.aim()
             self._canvas.show(drawing.nodes)
-            return legend(frame, selection, names, drawing.scales, drawing.warnings)
+            return legend(frame, selection, names, drawing)
         except InputError as error:
             self._canvas.show({})
             return [warning(str(error))]
+
+    def _drawing(self, frame: Frame, selection: Selection) -> Drawing:
+        """The picture of a row with what the views add; what is damaged is missing, the rest is shown."""
+        drawing = draw(frame, selection)
+        for view in self.picture_views:
+            try:
+                drawing = drawing.with_more(view.draw(frame, selection))
+            except InputError as error:
+                drawing = drawing.with_more(Drawing({}, warnings=(str(error),)))
+        return drawing
 
     def _update_views(self, frame: Frame | None, selection: Selection) -> list[str]:
         """Update all tabs; those that cannot show the row show none, and the reasons are returned."""

@@ -5,18 +5,18 @@ import numpy as np
 import viser
 from jaxtyping import UInt8
 
-from inspector.canvas import Picture
-from inspector.drawing import draw
 from inspector.frame import Frame
+from inspector.nodes import Drawing, Picture
 from inspector.selection import Selection
 
 RENDER_SIZE = (1200, 1600)
 """Height and width of pictures of the 3D view."""
 
 
-def snapshot(client: viser.ClientHandle, frame: Frame, selection: Selection) -> UInt8[np.ndarray, "h w 3"]:
+def snapshot(
+    client: viser.ClientHandle, frame: Frame, selection: Selection, drawing: Drawing
+) -> UInt8[np.ndarray, "h w 3"]:
     """Return the view as RGB: in 2D the whole image with its layers at full resolution, in 3D what the browser draws."""
-    drawing = draw(frame, selection)
     models_in_3d = any(name.startswith("models/") for name in drawing.nodes)
     if selection.view == "scene" or models_in_3d:
         return client.get_render(*RENDER_SIZE, transport_format="png")[..., :3]

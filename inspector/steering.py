@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from inspector.pointing import hit, readout
+from inspector.pointing import click_at, hit, readout
 from inspector.table import COLUMNS
 from pipeline.scene import ImageKey
 
@@ -113,12 +113,16 @@ class Steering:
         frame = self._session.frame
         return {"text": "" if frame is None else readout(frame, self._session.navigation, float(x), float(y))}
 
-    def click(self, x: float, y: float, _shift: bool = False) -> None:
-        """Select the annotated instance under the mouse, if the table has it."""
+    def click(self, x: float, y: float, shift: bool = False) -> None:
+        """Hand a click to the views that want it; else select the annotated instance under it, if the table has it."""
         frame, table = self._session.frame, self._session.table
         if frame is None or table is None:
             return
-        index = hit(frame, self._session.navigation, float(x), float(y))
+        navigation = self._session.navigation
+        at = click_at(navigation, float(x), float(y), bool(shift))
+        if any(view.clicked(frame, at) for view in self._session.picture_views):
+            return
+        index = hit(frame, navigation, float(x), float(y))
         if index is not None:
             position = table.instance(frame.key, index)
             if position >= 0:

@@ -6,11 +6,14 @@ keep a thread of its own; long work belongs into the frame (kept for the next ti
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
+import numpy as np
 import viser
+from jaxtyping import Float
 
 from inspector.frame import Frame
+from inspector.nodes import Drawing
 from inspector.selection import Selection
 from inspector.workspace import Workspace
 
@@ -52,4 +55,30 @@ class View(Protocol):
 
         InputError says that something of this row cannot be shown; the window reports it and stays usable.
         """
+        ...
+
+
+class Click(NamedTuple):
+    """A click into the picture."""
+
+    pixel: tuple[float, float] | None
+    """(u, v) of the image, possibly beyond its border; None in 3D."""
+    origin: Float[np.ndarray, "3"]
+    """Where the mouse's ray begins, camera frame, metres."""
+    direction: Float[np.ndarray, "3"]
+    """Of the ray."""
+    shift: bool
+    """Whether the Shift key was down."""
+
+
+@runtime_checkable
+class PictureView(View, Protocol):
+    """A tab that also adds to the picture, while the selection asks for it, and may take clicks into it."""
+
+    def draw(self, frame: Frame, selection: Selection) -> Drawing:
+        """What to add to the picture of the row; names of nodes begin with the view's own. InputError as in `update`."""
+        ...
+
+    def clicked(self, frame: Frame, click: Click) -> bool:
+        """Take a click; False leaves it to the others (at last, it selects the instance under the mouse)."""
         ...

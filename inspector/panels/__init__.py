@@ -1,5 +1,7 @@
-"""The tabs of the window, one view per file; `VIEWS` says which there are and in which order."""
+"""The tabs of the window, one view per file; `views_for` says which there are and in which order."""
 
+from inspector.epos.view import EposView
+from inspector.hashmatch.view import HashMatchView
 from inspector.panels.curves import CurvesView
 from inspector.panels.data import DataView
 from inspector.panels.display import DisplayView
@@ -7,6 +9,14 @@ from inspector.panels.recording import RecordingView
 from inspector.panels.target import TargetView
 from inspector.panels.vsd import VsdView
 from inspector.views import View
+from inspector.workspace import Workspace
 
-VIEWS: tuple[type[View], ...] = (TargetView, VsdView, CurvesView, DisplayView, RecordingView, DataView)
-"""Tabs on the right, in order; views of the pipeline's stages are added here."""
+STAGE_VIEWS: dict[str, type[View]] = {"hashmatch": HashMatchView, "epos": EposView}
+"""Views of the stages of a method, by the first part of the paths that it records."""
+
+
+def views_for(workspace: Workspace) -> tuple[type[View], ...]:
+    """The tabs on the right, in order; those of a method's stages only where such are recorded."""
+    recorded = frozenset[str]() if workspace.recordings is None else workspace.recordings.stages()
+    stages = [view for stage, view in STAGE_VIEWS.items() if stage in recorded]
+    return (TargetView, *stages, VsdView, CurvesView, DisplayView, RecordingView, DataView)

@@ -16,8 +16,12 @@
   async function call(method, ...args) {
     if (key === null) return null;
     const query = new URLSearchParams({ key, method, args: JSON.stringify(args) });
-    const response = await fetch(`/inspector/call?${query}`, { cache: "no-store" });
-    return response.ok ? response.json() : null;
+    try {
+      const response = await fetch(`/inspector/call?${query}`, { cache: "no-store" });
+      return response.ok ? await response.json() : null;
+    } catch { // the page is being left, or the server went away, which viser shows itself
+      return null;
+    }
   }
 
   // Calls a method at most once at a time; what arrives meanwhile is merged into one later call.
@@ -31,9 +35,7 @@
       while (waiting !== null) {
         const now = waiting;
         waiting = null;
-        try {
-          answered(await call(method, ...now));
-        } catch { /* the server went away: viser shows that itself */ }
+        answered(await call(method, ...now));
       }
       busy = false;
     };

@@ -1,27 +1,22 @@
 """What a browser looks at, written into a URL and read back."""
 
-from dataclasses import fields
-from typing import get_args
+from dataclasses import fields, is_dataclass
+from types import UnionType
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from hypothesis import given
 from hypothesis import strategies as st
 
+from inspector.address import from_query, to_query
 from inspector.selection import (
     DEFAULT_THRESHOLDS,
-    Board,
     Criterion,
-    DepthLayer,
-    Display,
     Filter,
-    Grouping,
     RowKey,
-    Score,
     Selection,
     Status,
     Style,
     View,
-    from_query,
-    to_query,
 )
 from inspector.table import COLUMNS
 
@@ -33,31 +28,27 @@ def floats(low: float, high: float) -> st.SearchStrategy[float]:
 
 IDS = st.integers(0, 10**7)
 ROWS = st.builds(RowKey, IDS, IDS, IDS, st.integers(-1, 99), st.integers(-1, 10**6))
-FILTERS = st.builds(
-    Filter,
-    obj_id=st.none() | IDS,
-    scene_id=st.none() | IDS,
-    status=st.sampled_from(get_args(Status)),
-    visible_min=floats(0, 1),
-    visible_max=floats(0, 1),
-)
-DISPLAYS = st.builds(
-    Display,
-    style=st.sampled_from(get_args(Style)),
-    opacity=floats(0, 1),
-    wipe_position=floats(0, 1),
-    depth=st.sampled_from(get_args(DepthLayer)),
-    recorded=st.text(max_size=20),
-    **{item.name: st.booleans() for item in fields(Display) if item.type is bool},
-)
-BOARDS = st.builds(
-    Board,
-    open=st.booleans(),
-    score=st.sampled_from(get_args(Score)),
-    first=st.none() | IDS,
-    second=st.none() | IDS,
-    by=st.sampled_from(get_args(Grouping)),
-)
+PARTS = {
+    name: kind for name, kind in get_type_hints(Selection).items() if isinstance(kind, type) and is_dataclass(kind)
+}
+PIXELS = st.tuples(*[floats(0, 2000)] * 2) | st.just((-1.0, -1.0))
+
+
+def values_of(kind: Any) -> st.SearchStrategy:
+    """Any value of a field of this type; pixels stand for all pairs of numbers."""
+    if get_origin(kind) is Literal:
+        return st.sampled_from(get_args(kind))
+    if get_origin(kind) is UnionType:
+        return st.one_of(*map(values_of, get_args(kind)))
+    plain = {bool: st.booleans(), int: IDS, float: floats(0, 1), str: st.text(max_size=20), type(None): st.none()}
+    return plain.get(kind, PIXELS)
+
+
+def parts_of(part: type) -> st.SearchStrategy:
+    """Any value of a part of the selection."""
+    return st.builds(part, **{name: values_of(kind) for name, kind in get_type_hints(part).items()})
+
+
 FIELDS: dict[str, st.SearchStrategy] = {
     "dataset": st.text(max_size=20),
     "row": st.none() | ROWS,
@@ -76,9 +67,7 @@ FIELDS: dict[str, st.SearchStrategy] = {
     "follow": st.booleans(),
     "eye": st.tuples(*[floats(-9, 9)] * 6),
     "dark": st.booleans(),
-    "filter": FILTERS,
-    "display": DISPLAYS,
-    "board": BOARDS,
+    **{name: parts_of(part) for name, part in PARTS.items()},
 }
 SELECTIONS = st.builds(Selection, **FIELDS)
 WITH_OTHER_DEFAULTS = Selection(delta_mm=5.0, compare=1)
@@ -86,8 +75,7 @@ WITH_OTHER_DEFAULTS = Selection(delta_mm=5.0, compare=1)
 
 
 def names() -> list[str]:
-    parts = {"filter": Filter, "display": Display, "board": Board}
-    nested = [f"{name}.{item.name}" for name, part in parts.items() for item in fields(part)]
+    nested = [f"{name}.{item.name}" for name, part in PARTS.items() for item in fields(part)]
     return [item.name for item in fields(Selection)] + nested
 
 

@@ -1,0 +1,1 @@
+"""What the inspector shows of HashMatch: how candidates thin out, windows, templates, swarms."""
