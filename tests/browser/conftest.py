@@ -36,8 +36,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if here in item.path.parents:
             item.add_marker(pytest.mark.browser)
-            # Software WebGL on two busy cores now and then draws later than any test waits; the rerun is reported.
-            item.add_marker(pytest.mark.flaky(reruns=1))
+            # Software WebGL on two busy cores now and then draws later than any test waits; reruns are reported.
+            item.add_marker(pytest.mark.flaky(reruns=2))
 
 
 class Server:
