@@ -1,8 +1,12 @@
 """Compile the inner loops before they are needed: `python -m pipeline.warm_up`.
 
 numba compiles a function when it is first called, which takes seconds, and keeps the machine code on disk beside
-the source. Calling the pose errors once, on a tetrahedron, saves the first user that wait.
+the source. Calling the pose errors once, on a tetrahedron, saves the first user that wait. The loops of EPOS's fitting
+take a minute; who first runs EPOS is told so, and tests, of which many need them, have them compiled by
+`python -m pipeline.warm_up --fitting`.
 """
+
+import sys
 
 import numpy as np
 
@@ -20,6 +24,10 @@ def main() -> None:
     errors.mssd(model, pose, pose)
     errors.mspd(model, np.eye(3), pose, pose)
     errors.add(model, pose, pose)
+    if "--fitting" in sys.argv[1:]:
+        from pipeline.epos.fitting.warm_up import warm_up
+
+        warm_up()
 
 
 if __name__ == "__main__":

@@ -124,8 +124,11 @@ fi
 # ---- compiled loops, so that the first page does not wait for the compiler
 
 sources=$({ echo "$wanted" && grep -rl --include='*.py' numba pipeline | sort | xargs cat; } | sum_of)
-if ! stamped .venv/.compiled "$sources"; then
+stamp=.venv/.compiled-$purpose
+if ! stamped "$stamp" "$sources"; then
     say "compiling the inner loops"
-    .venv/bin/python -m pipeline.warm_up
-    echo "$sources" >.venv/.compiled
+    fitting=()
+    if [[ $purpose == test ]]; then fitting=(--fitting); fi
+    .venv/bin/python -m pipeline.warm_up "${fitting[@]}"
+    echo "$sources" >"$stamp"
 fi

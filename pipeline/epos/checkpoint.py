@@ -17,14 +17,19 @@ import torch
 from jaxtyping import Float
 
 from pipeline.bop.json_files import read_bytes, write_atomically
+from pipeline.epos.config import Precision
 from pipeline.epos.fragments import Fragments
 from pipeline.epos.networks.config import NetworkConfig
 from pipeline.epos.networks.network import EposNetwork
+from pipeline.epos.prediction import SeenImage, see
 from pipeline.exceptions import FormatError, InputError, UnknownIdError
-from pipeline.scene import Model
+from pipeline.scene import Image, Model
 
 FORMAT = "pose-inspector epos network"
 VERSION = 1
+
+SHIPPED = Path(__file__).resolve().parents[2] / "assets" / "checkpoints"
+"""Folder of networks that come with the program."""
 
 _SAME_SHAPE = 0.01
 """Largest difference of bounding boxes, in their diagonals, of models that count as the same object."""
@@ -38,6 +43,11 @@ class TrainedObject:
     fragments: Fragments
     bounds: Float[np.ndarray, "2 3"]
     """Least and largest coordinates of the model, metres: by them it is noticed when another object has the same id."""
+
+    @classmethod
+    def of(cls, model: Model, fragments: Fragments) -> "TrainedObject":
+        """The object of a model that was split."""
+        return cls(model.obj_id, fragments, model_bounds(model))
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +69,11 @@ class TrainedNetwork:
         if obj_id not in self.obj_ids:
             raise UnknownIdError("object", obj_id, "the objects that the network was trained on", self.obj_ids)
         return self.obj_ids.index(obj_id)
+
+    def see(self, image: Image, precision: Precision = "float32") -> SeenImage:
+        """Run the network on an image that has colours; raises as `prediction.see`."""
+        assert image.rgb is not None
+        return see(self.network, image.rgb, precision)
 
     def check_model(self, model: Model) -> None:
         """Raise UnknownIdError for an object that is not known, InputError if its shape is another than in training."""
@@ -93,6 +108,18 @@ def save_network(path: Path, trained: TrainedNetwork) -> None:
     write_tensors(path, {"config": config, "objects": objects, "weights": weights, "origin": trained.origin})
 
 
+def shipped_checkpoint() -> Path:
+    """The network that comes with the program. Raises InputError where there is none, or more than one."""
+    found = sorted(SHIPPED.glob("*.pt"))
+    if not found:
+        raise InputError(
+            "epos: no network comes with this; train one (inspector train epos) and give it by --checkpoint"
+        )
+    if len(found) > 1:
+        raise InputError(f"epos: {', '.join(path.name for path in found)} come with this; give one by --checkpoint")
+    return found[0]
+
+
 def load_network(path: Path, device: torch.device | str = "cpu") -> TrainedNetwork:
     """Read a network, ready to be used. Raises MissingFileError or FormatError."""
     content = read_tensors(path)
@@ -111,7 +138,7 @@ def load_network(path: Path, device: torch.device | str = "cpu") -> TrainedNetwo
         network.load_state_dict(content["weights"])
     except (KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
         raise FormatError(f"{path}: its parts do not fit together; train the network again") from error
-    network.to(device).eval().requires_grad_(False)
+    network.move(device).eval().requires_grad_(False)
     return TrainedNetwork(network, objects, content.get("origin", ""))
 
 

@@ -32,8 +32,10 @@ class CorrespondenceConfig:
 class EposSettings:
     """Find known objects in colour images by EPOS: surface fragments, correspondences, robust fitting."""
 
-    checkpoint: Path
-    """File of the network, as training writes it (`network.pt`)."""
+    checkpoint: Path | None = None
+    """File of the network, as training writes it (`network.pt`); by default the one that comes with the program."""
+    objects: tuple[int, ...] = ()
+    """Only these objects; by default all that are looked for."""
     correspondences: CorrespondenceConfig = field(default_factory=CorrespondenceConfig)
     fitting: FittingConfig = field(default_factory=FittingConfig)
     count_instances: bool = False

@@ -7,6 +7,7 @@ never all 4mn channels of all cells.
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -16,18 +17,6 @@ from torch import Tensor
 from pipeline.epos.config import Precision
 from pipeline.epos.networks.network import STRIDE, EposNetwork
 from pipeline.exceptions import InputError
-
-
-@dataclass(frozen=True, eq=False)
-class SeenImage:
-    """The image in the network's eyes."""
-
-    features: Float[Tensor, "h w d"]
-    """Of each cell, where the network is."""
-    object_probability: Float32[np.ndarray, "h w m"]
-    """a: background, then the objects in the network's order."""
-    damaged_cells: int
-    """Cells whose output was not finite; they count as background."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +34,49 @@ class ObjectPrediction:
     """b_of."""
     coordinates: Float32[np.ndarray, "k n 3"]
     """r_of, 3D fragment coordinates."""
+
+
+@runtime_checkable
+class Seen(Protocol):
+    """An image in the eyes of whoever knows the objects."""
+
+    @property
+    def object_probability(self) -> Float32[np.ndarray, "h w m"]:
+        """a: background, then the objects in the order in which they are known."""
+        ...
+
+    @property
+    def damaged_cells(self) -> int:
+        """Cells about which nothing finite was said; they count as background."""
+        ...
+
+    def about(self, position: int, obj_id: int, min_probability: float) -> ObjectPrediction:
+        """Fragments of the object at a position, at cells with a_o > `min_probability` (tau_a)."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class SeenImage:
+    """The image in the network's eyes; see `Seen`."""
+
+    network: EposNetwork
+    features: Float[Tensor, "h w d"]
+    """Of each cell, where the network is."""
+    object_probability: Float32[np.ndarray, "h w m"]
+    damaged_cells: int
+
+    @torch.inference_mode()
+    def about(self, position: int, obj_id: int, min_probability: float) -> ObjectPrediction:
+        """See `Seen`; cells where the output is not finite are left out."""
+        a = self.object_probability[..., position + 1]
+        rows, columns = np.nonzero(a > min_probability)
+        features = self.features[torch.from_numpy(rows), torch.from_numpy(columns)].float()
+        output = self.network.fragment_output(position, features)
+        probability = output.logits.softmax(dim=-1).cpu().numpy()
+        coordinates = output.coordinates.cpu().numpy()
+        good = np.isfinite(probability).all(axis=1) & np.isfinite(coordinates).all(axis=(1, 2))
+        cells = np.stack([columns, rows], axis=1)[good]
+        return ObjectPrediction(obj_id, a.shape, cells, a[rows, columns][good], probability[good], coordinates[good])
 
 
 @torch.inference_mode()
@@ -70,26 +102,7 @@ def see(network: EposNetwork, rgb: UInt8[np.ndarray, "h w 3"], precision: Precis
             "EPOS: no output of the network is a finite number; train it again, or give another checkpoint"
         )
     probability[damaged] = np.eye(probability.shape[-1], dtype=np.float32)[0]
-    return SeenImage(features, probability, int(damaged.sum()))
-
-
-@torch.inference_mode()
-def predict_object(
-    network: EposNetwork, seen: SeenImage, position: int, obj_id: int, min_probability: float
-) -> ObjectPrediction:
-    """Fragments of the object at a position in the network's list, at cells with a_o > `min_probability` (tau_a).
-
-    Cells where the output is not finite are left out.
-    """
-    a = seen.object_probability[..., position + 1]
-    rows, columns = np.nonzero(a > min_probability)
-    features = seen.features[torch.from_numpy(rows), torch.from_numpy(columns)].float()
-    output = network.fragment_output(position, features)
-    probability = output.logits.softmax(dim=-1).cpu().numpy()
-    coordinates = output.coordinates.cpu().numpy()
-    good = np.isfinite(probability).all(axis=1) & np.isfinite(coordinates).all(axis=(1, 2))
-    cells = np.stack([columns, rows], axis=1)[good]
-    return ObjectPrediction(obj_id, a.shape, cells, a[rows, columns][good], probability[good], coordinates[good])
+    return SeenImage(network, features, probability, int(damaged.sum()))
 
 
 @contextmanager

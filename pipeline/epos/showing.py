@@ -10,12 +10,16 @@ import numpy as np
 from pipeline.epos.fitting.correspondences import PotentialCorrespondences
 from pipeline.epos.fitting.results import Fitting, FittingTrace
 from pipeline.epos.fragments import Fragments
-from pipeline.epos.grid import CELL_PX
-from pipeline.epos.prediction import ObjectPrediction, SeenImage
+from pipeline.epos.grid import CELL_PX, cell_pixels
+from pipeline.epos.prediction import ObjectPrediction, Seen
+from pipeline.epos.targets import KnownObject, Targets
 from pipeline.recording import StageRecorder
 
+BEST = ", best so far"
+"""Ends the label of a hypothesis that was the best when the search looked at it."""
 
-def show_objects(seen: SeenImage, obj_ids: Sequence[int], recorder: StageRecorder) -> None:
+
+def show_objects(seen: Seen, obj_ids: Sequence[int], recorder: StageRecorder) -> None:
     """Record a, for all cells."""
     rows, columns, classes = seen.object_probability.shape
     cells = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2)
@@ -68,9 +72,32 @@ def show_fitting(obj_id: int, fitting: Fitting, trace: FittingTrace, recorder: S
         steps=np.arange(len(looked_at.quality)),
         instances=looked_at.proposals,
         samples=looked_at.triplets,
-        labels=looked_at.stage,
+        labels=[
+            f"{stage}{BEST}" if best else stage for stage, best in zip(looked_at.stage, looked_at.best, strict=True)
+        ],
     )
     for event in trace.events:
         recorder.text(f"epos/fitting/{obj_id}", f"{event.kind}: {event.text}")
     counted = f"{len(fitting.poses)} poses from {fitting.pixels} pixels, {fitting.iterations} triplets"
     recorder.text(f"epos/fitting/{obj_id}", f"{counted}; {fitting.stopped}")
+
+
+def show_targets(targets: Targets, objects: Sequence[KnownObject], recorder: StageRecorder) -> None:
+    """Record what the network should say of an image."""
+    obj_ids = np.array([0, *(known.model.obj_id for known in objects)])
+    recorder.heatmap("epos/targets/object", obj_ids[targets.objects], unit="object", cell_px=CELL_PX)
+    for label in np.unique(targets.objects[targets.objects > 0]):
+        rows, columns = np.nonzero(targets.objects == label)
+        ids, coordinates = targets.fragments[rows, columns], targets.coordinates[rows, columns]
+        cells = np.stack([columns, rows], axis=1)
+        recorder.table(
+            f"epos/targets/fragments/{obj_ids[label]}",
+            {
+                "cells": cells,
+                "pixels": cell_pixels(cells),
+                "instance": targets.instances[rows, columns],
+                "fragment": ids,
+                "coordinates": coordinates,
+                "points_in_model": objects[label - 1].fragments.points(ids, coordinates),
+            },
+        )

@@ -42,6 +42,8 @@ class Targets:
     """Fragment of that object; 0 in the background."""
     coordinates: Float32[np.ndarray, "h w 3"]
     """3D fragment coordinates; 0 in the background."""
+    instances: Int[np.ndarray, "h w"]
+    """Instance that the cell shows; -1 in the background."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +58,8 @@ def make_targets(image: LabelledImage, objects: Sequence[KnownObject]) -> Target
     """Targets of an image; instances of objects that are not to be learned are background."""
     camera = grid_camera(image.camera)
     shape = (camera.height, camera.width)
-    targets = Targets(np.zeros(shape, np.int64), np.zeros(shape, np.int64), np.zeros((*shape, 3), np.float32))
+    labels, coordinates = np.zeros(shape, np.int64), np.zeros((*shape, 3), np.float32)
+    targets = Targets(labels, labels.copy(), coordinates, np.full(shape, BACKGROUND, np.int64))
     positions = {known.model.obj_id: i for i, known in enumerate(objects)}
     most = np.zeros(shape, np.int64)
     for instance, rendering in _renderings(image, camera, objects, positions).items():
@@ -64,6 +67,7 @@ def make_targets(image: LabelledImage, objects: Sequence[KnownObject]) -> Target
         pixels = shown_pixels(image.instance_ids, instance)[rendering.box.slices]
         seen = rendering.mask_crop & (pixels >= 2) & (pixels > most[rendering.box.slices])
         most[rendering.box.slices][seen] = pixels[seen]
+        targets.instances[rendering.box.slices][seen] = instance
         _fill(targets, rendering, seen, position, objects[position])
     return targets
 

@@ -83,6 +83,8 @@ class TrainConfig:
     """Width and height of the windows, cut from training images, that the network is shown, pixels."""
     batch: int = 4
     """Windows in a step. The thesis has 1 (whole images)."""
+    windows: int = 1
+    """Windows that are cut from one training image; to make an image takes about ten times as long as a window of it."""
     steps: int = 20_000
     """Steps in all; the thesis has 2 million."""
     freeze: tuple[Literal["early", "middle"], ...] = ()
@@ -105,7 +107,7 @@ class TrainConfig:
     """Images of the dataset that predictions are recorded for; they are only looked at."""
 
     def __post_init__(self) -> None:
-        positive = ("batch", "steps", "checkpoint_every", "record_every", "fragments")
+        positive = ("batch", "steps", "windows", "checkpoint_every", "record_every", "fragments")
         for name in positive:
             if getattr(self, name) < 1:
                 raise InputError(f"training: {name} is {getattr(self, name)}; expected 1 or more")

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.bop.dataset import Dataset, open_dataset, splits
-from pipeline.epos.checkpoint import TrainedObject, model_bounds
+from pipeline.epos.checkpoint import TrainedObject
 from pipeline.epos.fragments import fragments_of
 from pipeline.epos.targets import KnownObject
 from pipeline.epos.training.config import TrainConfig
@@ -27,9 +27,7 @@ class Prepared:
     @property
     def trained_objects(self) -> tuple[TrainedObject, ...]:
         """The objects as they are kept with the network."""
-        return tuple(
-            TrainedObject(known.model.obj_id, known.fragments, model_bounds(known.model)) for known in self.objects
-        )
+        return tuple(TrainedObject.of(known.model, known.fragments) for known in self.objects)
 
 
 def prepare(config: TrainConfig) -> Prepared:
@@ -45,13 +43,15 @@ def prepare(config: TrainConfig) -> Prepared:
         sources.append(DatasetImages.of(open_dataset(config.dataset, _training_split(config))))
         shares.append(1.0 - config.pasted_share)
     changes = Augmentation() if config.augment else None
-    samples = SampleSet(tuple(sources), tuple(shares), objects, config.crop, changes, config.seed)
+    samples = SampleSet(tuple(sources), tuple(shares), objects, config.crop, changes, config.seed, config.windows)
     return Prepared(dataset, objects, samples)
 
 
 def known_objects(dataset: Dataset, config: TrainConfig) -> tuple[KnownObject, ...]:
     """The objects to learn. Raises UnknownIdError for one that the dataset does not have, InputError for a bad model."""
     wanted = config.objects or dataset.obj_ids
+    if not wanted:
+        raise InputError(f"{dataset.root}: has no models of objects to learn; give a dataset with a folder of models")
     for obj_id in (*wanted, *config.fragments_of):
         if obj_id not in dataset.obj_ids:
             raise UnknownIdError("object", obj_id, dataset.name, dataset.obj_ids)

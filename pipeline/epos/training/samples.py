@@ -1,7 +1,9 @@
 """From training images to batches: windows, augmentation, targets; in worker processes, the same for any number of them."""
 
+import signal
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +22,10 @@ from pipeline.synth.augmentation import Augmentation, augment
 
 _ABOUT_OBJECT = 0.9
 """Share of windows that are laid over a visible pixel of an object; the others are anywhere."""
+
+
+_OF_IMAGES = 1
+"""Tells the random numbers of images from those of samples."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,18 +60,30 @@ class SampleSet(TorchDataset[Sample | InputError]):
     """Width and height, pixels."""
     augmentation: Augmentation | None
     seed: int
+    windows: int = 1
+    """So many samples in a row are cut from one image."""
+    _last: dict[int, LabelledImage] = field(default_factory=dict, repr=False)
+    """The image that was made last, by its number."""
 
     def __getitem__(self, index: int) -> Sample | InputError:
         """Make a sample; what is wrong with the input is returned, for torch would make several lines of it."""
         rng = np.random.default_rng([self.seed, index])
         try:
-            source = self.sources[rng.choice(len(self.sources), p=self.shares)]
-            image = random_window(source.image(rng), self.crop, rng)
+            image = random_window(self._image(index // self.windows), self.crop, rng)
         except InputError as error:
             return error
         targets = make_targets(image, self.objects)
         rgb = image.rgb if self.augmentation is None else augment(image.rgb, rng, self.augmentation)
         return Sample(rgb, targets)
+
+    def _image(self, number: int) -> LabelledImage:
+        """An image, made once for all its windows. Raises InputError."""
+        if number not in self._last:
+            rng = np.random.default_rng([self.seed, number, _OF_IMAGES])
+            source = self.sources[rng.choice(len(self.sources), p=self.shares)]
+            self._last.clear()
+            self._last[number] = source.image(rng)
+        return self._last[number]
 
 
 def random_window(image: LabelledImage, size: tuple[int, int], rng: np.random.Generator) -> LabelledImage:
@@ -114,10 +132,22 @@ def batches(
         generator=own,
         **processes,
     )
-    for made in loader:
+    with _uninterrupted():  # what is pressed meanwhile comes after
+        made_by_workers = iter(loader)
+    for made in made_by_workers:
         if isinstance(made, InputError):
             raise made
         yield Batch(made[0], TargetTensors(*made[1:]))
+
+
+@contextmanager
+def _uninterrupted() -> Iterator[None]:
+    """Hold Ctrl-C back; processes started inside never get it: to stop them is our business, after the step."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def batch_of(samples: Sequence[Sample]) -> Batch:

@@ -1,7 +1,9 @@
 """Training from beginning to end, or on from where it stopped."""
 
 import json
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from time import perf_counter
@@ -50,10 +52,24 @@ def train(config: TrainConfig, progress: Callable[[Progress], None] = lambda _: 
     """
     device = chosen_device(config.device)
     prepared = prepare(config)
-    with Run.create(
-        config.out, dataset=prepared.dataset, method="epos-training", config=_plain(config), seed=config.seed
-    ) as run:
+    with (
+        Run.create(
+            config.out, dataset=prepared.dataset, method="epos-training", config=_plain(config), seed=config.seed
+        ) as run,
+        _threads_beside(config.workers),
+    ):
         return _Training(config, prepared, run, device).run(progress)
+
+
+@contextmanager
+def _threads_beside(workers: int) -> Iterator[None]:
+    """Leave a core to each worker: threads of torch that share one wait for each other most of the time."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(max(1, min(before, len(os.sched_getaffinity(0)) - workers)))
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 class _Training:
@@ -66,7 +82,7 @@ class _Training:
         if config.start_from is not None:
             take_weights(config.start_from, self.network)
         self.network.freeze(config.freeze)
-        self.network.to(device).train()
+        self.network.move(device).train()
         self.optimizer = make_optimizer(self.network, config.optimization)
         self.losses = np.zeros((config.steps, 4), np.float32)
         self.done = 0
@@ -87,9 +103,9 @@ class _Training:
             saved = self.done % config.checkpoint_every == 0 or self.done == config.steps
             if saved:
                 self._save()
-            if self.done % config.record_every == 0 or self.done == config.steps:
-                self._record()
             try:
+                if self.done % config.record_every == 0 or self.done == config.steps:
+                    self._record()
                 progress(Progress(self.done, config.steps, _four(loss), perf_counter() - begun))
             except BaseException:  # between two steps all is whole; inside one it is not
                 if not saved:
@@ -123,8 +139,7 @@ class _Training:
             return
         generator = torch.get_rng_state()
         self.network.eval()
-        dataset = self.prepared.dataset
-        record_progress(self._run, dataset, self.keys, self._trained(), self.losses[: self.done])
+        record_progress(self._run, self.prepared, self.keys, self._trained(), self.losses[: self.done])
         self.network.train()
         torch.set_rng_state(generator)
 

@@ -4,15 +4,18 @@ The folder can be opened by the inspector like any run; its recordings are writt
 """
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float32
 
 from pipeline.bop.dataset import Dataset
 from pipeline.epos.checkpoint import TrainedNetwork
-from pipeline.epos.config import EposSettings
+from pipeline.epos.config import CorrespondenceConfig, EposSettings
 from pipeline.epos.estimator import EposEstimator
+from pipeline.epos.showing import show_targets
+from pipeline.epos.targets import make_targets
+from pipeline.epos.training.images import labelled_image
+from pipeline.epos.training.preparing import Prepared
 from pipeline.exceptions import InputError
 from pipeline.recording import StageRecorder
 from pipeline.run import Run
@@ -25,6 +28,10 @@ _POINTS = 500
 """Points of a curve; each is the mean over some steps."""
 
 
+_SETTINGS = EposSettings(correspondences=CorrespondenceConfig(min_object_probability=0.3))
+"""A network that knows little finds every object a little likely everywhere, which takes long and shows nothing."""
+
+
 def sample_keys(dataset: Dataset, count: int) -> tuple[ImageKey, ...]:
     """Images spread over a dataset."""
     keys = list(dataset.images())
@@ -33,10 +40,10 @@ def sample_keys(dataset: Dataset, count: int) -> tuple[ImageKey, ...]:
 
 
 def record_progress(
-    run: Run, dataset: Dataset, keys: Sequence[ImageKey], trained: TrainedNetwork, losses: Float32[np.ndarray, "s 4"]
+    run: Run, prepared: Prepared, keys: Sequence[ImageKey], trained: TrainedNetwork, losses: Float32[np.ndarray, "s 4"]
 ) -> None:
-    """Record each sample image as the network sees it now, with the curves so far."""
-    estimator = EposEstimator(trained, EposSettings(Path()))
+    """Record each sample image as the network sees it now and as it should, with the curves so far."""
+    dataset, estimator = prepared.dataset, EposEstimator(trained, _SETTINGS)
     for key in keys:
         image = dataset.image(key)
         if image.rgb is None:
@@ -47,6 +54,7 @@ def record_progress(
             recorder.poses("ground_truth", dataset.ground_truth(key))
             recorder.text("log", f"after {len(losses)} steps of training")
             record_curves(recorder, losses)
+            show_targets(make_targets(labelled_image(dataset, key), prepared.objects), prepared.objects, recorder)
             try:
                 recorder.poses("estimates", estimator.estimate(image, targets, recorder))
             except InputError as error:  # diverged: the curves show it

@@ -1,7 +1,6 @@
 """The estimator: right maps give right poses; what it records; what it makes of bad input. And the files of networks."""
 
-from dataclasses import replace
-from pathlib import Path
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -9,7 +8,6 @@ import torch
 from epos_cases import CAMERA, bar, cone, labelled, pose, wedge
 from tiny_dataset import make_dataset
 
-import pipeline.epos.estimator as stages
 from pipeline.bop.dataset import open_dataset
 from pipeline.bop.errors import mspd
 from pipeline.epos.checkpoint import (
@@ -21,15 +19,15 @@ from pipeline.epos.checkpoint import (
     write_tensors,
 )
 from pipeline.epos.config import CorrespondenceConfig, EposSettings
-from pipeline.epos.estimator import EposEstimator, make_epos
+from pipeline.epos.estimator import EposEstimator
 from pipeline.epos.fragments import fragments_of
 from pipeline.epos.networks.config import NetworkConfig
 from pipeline.epos.networks.network import EposNetwork
-from pipeline.epos.prediction import ObjectPrediction, SeenImage
+from pipeline.epos.oracle import OracleSeen, exact
+from pipeline.epos.prediction import see
 from pipeline.epos.targets import KnownObject, make_targets
 from pipeline.estimator import Estimator
 from pipeline.exceptions import InputError, UnknownIdError
-from pipeline.geometry import transform_points
 from pipeline.recording import NullRecorder, RecordingReader
 from pipeline.recording import Recorder as FileRecorder
 from pipeline.scene import Camera, Image, ImageKey, Target
@@ -45,24 +43,15 @@ def trained_on(*models, n=16):
     return TrainedNetwork(network, objects)
 
 
-def oracle(image, model, fragments):
-    """Ground-truth maps: at each cell, all points that the symmetries make look alike, equally likely."""
-    targets = make_targets(image, [KnownObject(model, fragments)])
-    rows, columns = np.nonzero(targets.objects)
-    points = fragments.points(targets.fragments[rows, columns], targets.coordinates[rows, columns])
-    b = np.zeros((len(rows), len(fragments)), np.float32)
-    r = np.zeros((len(rows), len(fragments), 3), np.float32)
-    nearest = np.full(b.shape, np.inf)
-    for symmetry in model.symmetries:
-        located = fragments.locate(transform_points(symmetry, points))
-        k, lengths = np.arange(len(rows)), np.linalg.norm(located.coordinates, axis=1)
-        better = lengths < nearest[k, located.fragment_ids]
-        k, ids = k[better], located.fragment_ids[better]
-        nearest[k, ids], r[k, ids], b[k, ids] = lengths[better], located.coordinates[better], 1
-    a = np.ones(len(rows), np.float32)
-    return ObjectPrediction(
-        model.obj_id, targets.objects.shape, np.stack([columns, rows], axis=1), a, b / b.sum(axis=1, keepdims=True), r
-    )
+@dataclass(frozen=True)
+class Knowing:
+    """Knows what the image shows, as a perfect network would."""
+
+    objects: tuple[TrainedObject, ...]
+    seen: OracleSeen
+
+    def see(self, *_):
+        return self.seen
 
 
 @pytest.mark.parametrize(
@@ -78,14 +67,13 @@ def oracle(image, model, fragments):
     ],
     ids=["no symmetry", "two-fold", "continuous", "three instances"],
 )
-def test_right_maps_give_right_poses(monkeypatch, model, poses):
-    trained = trained_on(model, n=64)
+def test_right_maps_give_right_poses(model, poses):
+    objects = trained_on(model, n=64).objects
     image = labelled([(model, p) for p in poses], WIDE)
-    prediction = oracle(image, model, trained.objects[0].fragments)
-    blind = SeenImage(torch.zeros(60, 80, 128), np.zeros((60, 80, 2), np.float32), 0)
-    monkeypatch.setattr(stages, "see", lambda *_: blind)
-    monkeypatch.setattr(stages, "predict_object", lambda *_: prediction)
-    estimator = EposEstimator(trained, EposSettings(Path()))
+    known = KnownObject(model, objects[0].fragments)
+    targets = make_targets(image, [known])
+    seen = OracleSeen(np.zeros((60, 80, 2), np.float32), (exact(targets, 0, known),), targets)
+    estimator = EposEstimator(Knowing(objects, seen), EposSettings())
     target = Target(*KEY, model.obj_id, len(poses))
     found = estimator.estimate(Image(KEY, WIDE, image.rgb, None), [target], NullRecorder())
     errors = [min(mspd(model, WIDE.K, e.camera_from_model, p).value for e in found) for p in poses]
@@ -100,7 +88,7 @@ def image_of(rgb=None, camera=CAMERA):
 def biased(trained, *values):
     torch.nn.init.zeros_(trained.network.object_head.weight)
     trained.network.object_head.bias.data = torch.tensor(values)
-    return EposEstimator(trained, EposSettings(Path()))
+    return EposEstimator(trained, EposSettings())
 
 
 def test_no_likely_pixel_gives_no_poses():
@@ -112,7 +100,7 @@ def test_no_likely_pixel_gives_no_poses():
 
 def test_all_correspondences_in_one_point_give_no_poses():
     trained = trained_on(wedge(), n=1)
-    estimator = EposEstimator(trained, EposSettings(Path(), CorrespondenceConfig(regression=False)))
+    estimator = EposEstimator(trained, EposSettings(correspondences=CorrespondenceConfig(regression=False)))
     torch.nn.init.zeros_(trained.network.object_head.weight)
     trained.network.object_head.bias.data = torch.tensor([0.0, 5.0])
     assert estimator.estimate(image_of(), [Target(*KEY, 1, 1)], NullRecorder()) == []
@@ -157,7 +145,7 @@ def test_network_is_read_back_as_it_was_written(tmp_path):
         np.testing.assert_array_equal(one.fragments.centers, other.fragments.centers)
         np.testing.assert_array_equal(one.fragments.sizes, other.fragments.sizes)
     assert (again.obj_ids, again.origin) == ((1, 2), "somehow")
-    one, other = (stages.see(t.network, rgb).object_probability for t in (trained, again))
+    one, other = (see(t.network, rgb).object_probability for t in (trained, again))
     np.testing.assert_array_equal(one, other)
     assert (tmp_path / "network.pt").stat().st_size < 15e6
     assert [path.name for path in tmp_path.iterdir()] == ["network.pt"]
@@ -198,10 +186,12 @@ def test_checkpoint_of_other_objects_is_refused(tmp_path):
     dataset = open_dataset(make_dataset(tmp_path / "tiny"))
     own, path = [dataset.model(obj_id, "display") for obj_id in (1, 2)], tmp_path / "network.pt"
     save_network(path, trained_on(*own, n=4))
-    assert make_epos(EposSettings(path, device="cpu"), dataset).trained.obj_ids == (1, 2)
+    assert [
+        o.obj_id for o in EposEstimator.of_dataset(dataset, EposSettings(path, device="cpu")).predictor.objects
+    ] == [1, 2]
     save_network(path, trained_on(wedge(obj_id=1), n=4))
     with pytest.raises(InputError, match=r"object 1: its model \(60.0 x 40.0 x 20.0 mm\) is not the one"):
-        make_epos(EposSettings(path), dataset)
+        EposEstimator.of_dataset(dataset, EposSettings(path))
     save_network(path, trained_on(wedge(obj_id=31), n=4))
     with pytest.raises(InputError, match="was trained on objects 31, none of which tiny has"):
-        make_epos(EposSettings(path), dataset)
+        EposEstimator.of_dataset(dataset, EposSettings(path))

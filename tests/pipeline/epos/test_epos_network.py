@@ -7,7 +7,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 from pipeline.epos.networks.config import NetworkConfig
 from pipeline.epos.networks.network import EposNetwork, chosen_device
-from pipeline.epos.prediction import predict_object, see
+from pipeline.epos.prediction import SeenImage, see
 from pipeline.epos.training.config import LossConfig
 from pipeline.epos.training.loss import TargetTensors, epos_loss
 from pipeline.exceptions import InputError
@@ -67,7 +67,7 @@ def test_output_is_at_the_whole_cells(network, height, width):
 def test_output_where_it_counts_is_the_dense_output(network):
     seen = see(network, RGB)
     threshold = float(np.median(seen.object_probability[..., 1]))
-    sparse = predict_object(network, seen, 0, 7, threshold)
+    sparse = seen.about(0, 7, threshold)
     with torch.inference_mode():
         dense = network.fragment_heads[0](seen.features)
         probability = dense[..., :16].softmax(dim=-1).numpy()
@@ -90,13 +90,11 @@ def test_memory_of_heads_is_bounded_in_use_and_training():
     with LargestTensor() as largest:
         epos_loss(network, features, targets, LossConfig()).total.backward()
     assert largest.elements == features.numel() < dense / 50  # at most the features themselves
-    from pipeline.epos.prediction import SeenImage
-
     probability = np.full((40, 60, 31), 1 / 31, np.float32)
-    seen = SeenImage(features[0], probability, 0)
+    seen = SeenImage(network, features[0], probability, 0)
     with LargestTensor() as largest:
         for position in range(30):
-            predict_object(network, seen, position, position, 0.0)  # the worst: every object everywhere
+            seen.about(position, position, 0.0)  # the worst: every object everywhere
     assert largest.elements <= 40 * 60 * 4 * 64 == dense / 30
 
 
@@ -116,7 +114,7 @@ def test_output_that_is_not_finite_is_left_out_or_refused(network):
     seen = see(network, RGB)
     broken = seen.features.clone()
     broken[0, 0] = torch.nan
-    partly = predict_object(network, type(seen)(broken, seen.object_probability, 0), 0, 1, 0.0)
+    partly = SeenImage(network, broken, seen.object_probability, 0).about(0, 1, 0.0)
     assert len(partly.cells) == 24 * 32 - 1
     assert not (partly.cells == 0).all(axis=1).any()
     torch.manual_seed(0)

@@ -18,7 +18,7 @@ from pipeline.epos.estimator import EposEstimator
 from pipeline.epos.fragments import fragments_of
 from pipeline.epos.networks.config import NetworkConfig
 from pipeline.epos.networks.network import EposNetwork
-from pipeline.epos.prediction import predict_object, see
+from pipeline.epos.prediction import see
 from pipeline.epos.targets import KnownObject, make_targets
 from pipeline.epos.training.config import OptimizationConfig, PastedConfig, TrainConfig
 from pipeline.epos.training.images import DatasetImages, PastedImages, labelled_image
@@ -59,7 +59,7 @@ def test_one_image_is_learned():
     assert losses[-1][0] < 0.15 * losses[0][0], (losses[0], losses[-1])
 
     network.eval()
-    matches = establish(predict_object(network, see(network, image.rgb), 0, 1, 0.1), fragments)
+    matches = establish(see(network, image.rgb).about(0, 1, 0.1), fragments)
     best = matches.at(np.flatnonzero(matches.confidence > 0.5))
     errors = np.linalg.norm(
         project(CAMERA.K, transform_points(camera_from_model, best.points_in_model)) - best.pixels, axis=1
@@ -68,7 +68,7 @@ def test_one_image_is_learned():
     assert np.median(errors) < 2.0, np.percentile(errors, [25, 50, 75, 95])
     trained = TrainedNetwork(network, (TrainedObject(1, fragments, model_bounds(model)),))
     key = ImageKey(1, 0)
-    found = EposEstimator(trained, EposSettings(Path())).estimate(
+    found = EposEstimator(trained, EposSettings()).estimate(
         Image(key, CAMERA, image.rgb, None), [Target(*key, 1, 1)], NullRecorder()
     )
     shift = transform_points(found[0].camera_from_model, model.vertices) - transform_points(
@@ -143,6 +143,25 @@ def test_recording_does_not_change_training(tiny, tmp_path):
     one = weights_of(train(config_of(tiny, tmp_path / "a", steps=2)))
     other = weights_of(train(config_of(tiny, tmp_path / "b", steps=2, sample_images=2, record_every=1)))
     assert all(torch.equal(one[name], other[name]) for name in one)
+
+
+def test_windows_of_one_image_are_other_places_of_it(tiny):
+    dataset, made = open_dataset(tiny), []
+
+    class Counted(DatasetImages):
+        def image(self, rng):
+            made.append(len(made))
+            return super().image(rng)
+
+    source = Counted.of(dataset)
+    objects = tuple(KnownObject(m, fragments_of(m, 4)) for m in (dataset.model(1), dataset.model(2)))
+    samples = SampleSet((source,), (1.0,), objects, (32, 32), None, seed=5, windows=3)
+    found = [samples[i] for i in range(6)]
+    assert len(made) == 2
+    assert not np.array_equal(found[0].rgb, found[1].rgb)
+    again = samples[1]  # whatever was asked for before
+    np.testing.assert_array_equal(again.rgb, found[1].rgb)
+    np.testing.assert_array_equal(again.targets.coordinates, found[1].targets.coordinates)
 
 
 def test_worker_processes_make_the_same_batches(tiny):

@@ -96,26 +96,29 @@ def fit_pooled(
     c, log = correspondences, make_log(trace.room if trace else 0)
     pixels = 1 + int(np.count_nonzero(np.diff(c.pixel_ids)))
     state = np.array([seed], np.uint64)
-    settings, rules = settings_of(config, instances, pixels), rules_of(config, instances, pixels)
+    settings, rules = settings_of(config, instances, pixels), rules_of(config, instances, pixels, len(c))
     solution = solve(*plain_arrays(c, K), state, settings, rules, log)
     poses = tuple(
         FittedPose(with_origin(pose[None], solution.centre)[0], float(quality) / pixels, np.sort(inliers[inliers >= 0]))
         for pose, quality, inliers in zip(solution.pose, solution.quality, solution.inliers, strict=True)
     )
-    stopped = _why(solution, instances)
+    stopped = _why(solution, instances, rules.least)
     if trace:
         _tell(trace, solution, log, pixels, stopped)
     return Fitting(poses, pixels, int(solution.counts[0]), stopped)
 
 
-def _why(solution: Solution, instances: int | None) -> str:
+def _why(solution: Solution, instances: int | None, least: float) -> str:
     count = len(solution.pose)
     if instances is not None and count == instances:
         return f"as many as wanted: {instances}"
     left = np.delete(solution.slot_quality, solution.slot)
     left = left[~np.delete(solution.refused, solution.slot)].max(initial=0.0)
     taken = int(solution.refused.sum())
-    return f"{count} found; {taken} others claim the same pixels, and the best of the rest explains {left:.0f} pixels"
+    return (
+        f"{count} found; {taken} others claim the same pixels, and the best of the rest explains {left:.0f} pixels "
+        f"({least:.0f} are needed)"
+    )
 
 
 def _tell(trace: FittingTrace, solution: Solution, log: Log, pixels: int, stopped: str) -> None:

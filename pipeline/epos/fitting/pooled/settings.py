@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pipeline.epos.fitting.chance import least_support
 from pipeline.epos.fitting.config import FittingConfig
 
 _FEW_PIXELS = 400
@@ -85,15 +86,15 @@ def settings_of(config: FittingConfig, instances: int | None, pixels: int) -> Se
     )
 
 
-def rules_of(config: FittingConfig, instances: int | None, pixels: int) -> Rules:
-    """Rules of a search; arguments as of `settings_of`."""
+def rules_of(config: FittingConfig, instances: int | None, pixels: int, correspondences: int) -> Rules:
+    """Rules of a search; arguments as of `settings_of`, and how many correspondences there are."""
     wanted = None if instances is None else min(instances, pixels)  # more could not each have a pixel
     slots = _SLOTS_WITHOUT_NUMBER if wanted is None else _SPARE_SLOTS + _SLOTS_PER_INSTANCE * wanted
     return Rules(
         slots=slots,
         draws=_draws(config, wanted, pixels),
         most=slots if wanted is None else wanted,
-        least=float(config.min_inliers),
+        least=least_support(config, pixels, correspondences),
         certainty=float(config.min_probability) if wanted is None else 0.0,
         twins=not config.reject_twins,
     )

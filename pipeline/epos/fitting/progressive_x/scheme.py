@@ -3,6 +3,7 @@
 import numpy as np
 from jaxtyping import Bool, Float
 
+from pipeline.epos.fitting.chance import least_support
 from pipeline.epos.fitting.config import FittingConfig
 from pipeline.epos.fitting.correspondences import PotentialCorrespondences
 from pipeline.epos.fitting.primitives.blocks import pixel_weights
@@ -79,6 +80,10 @@ def _objection(view: View, poses: list[Pose], pose: Pose, inliers: Bool[np.ndarr
     """Why a pose is no new instance; empty if it is one."""
     if len(np.unique(view.problem.owner[inliers])) < view.config.min_inliers:
         return f"fewer than {view.config.min_inliers} pixels"
+    pixels = len(view.problem.pixels)
+    support, least = pixels * view.quality(pose, view.nothing), least_support(view.config, pixels, len(inliers))
+    if support < least:
+        return f"explains {support:.0f} pixels; {least:.0f} are needed to be better than chance"
     if not poses:
         return ""
     known = _least_errors(view, poses) < view.tau**2
