@@ -8,8 +8,12 @@ import tyro
 from rich.console import Console
 from rich.markup import escape
 
+from inspector.commands.calibrate import CalibrateConfig
+from inspector.commands.calibrate import run as run_calibrate
 from inspector.commands.check import CheckConfig
 from inspector.commands.check import run as run_check
+from inspector.commands.depth_correct import DepthCorrectConfig
+from inspector.commands.depth_correct import run as run_depth_correct
 from inspector.commands.doctor import DoctorConfig
 from inspector.commands.doctor import run as run_doctor
 from inspector.commands.download import DownloadConfig
@@ -18,6 +22,8 @@ from inspector.commands.evaluate import EvaluateConfig
 from inspector.commands.evaluate import run as run_evaluate
 from inspector.commands.gt_info import GtInfoConfig
 from inspector.commands.gt_info import run as run_gt_info
+from inspector.commands.gt_quality import GtQualityConfig
+from inspector.commands.gt_quality import run as run_gt_quality
 from inspector.commands.record import RecordConfig
 from inspector.commands.record import run as run_record
 from inspector.commands.run import RunConfig
@@ -28,6 +34,10 @@ from inspector.commands.symmetries import SymmetriesConfig
 from inspector.commands.symmetries import run as run_symmetries
 from inspector.commands.synthesize import SynthesizeConfig
 from inspector.commands.synthesize import run as run_synthesize
+from inspector.commands.trace import TraceConfig
+from inspector.commands.trace import run as run_trace
+from inspector.commands.train import TrainConfig
+from inspector.commands.train import run as run_train
 from pipeline.exceptions import InputError
 
 
@@ -37,10 +47,15 @@ def main() -> None:
         "serve": (ServeConfig, run_serve),
         "evaluate": (EvaluateConfig, run_evaluate),
         "check": (CheckConfig, run_check),
+        "train": (TrainConfig, run_train),
         "run": (RunConfig, run_run),
         "record": (RecordConfig, run_record),
+        "trace": (TraceConfig, run_trace),
         "doctor": (DoctorConfig, run_doctor),
         "gt-info": (GtInfoConfig, run_gt_info),
+        "gt-quality": (GtQualityConfig, run_gt_quality),
+        "calibrate": (CalibrateConfig, run_calibrate),
+        "depth-correct": (DepthCorrectConfig, run_depth_correct),
         "synthesize": (SynthesizeConfig, run_synthesize),
         "symmetries": (SymmetriesConfig, run_symmetries),
         "download": (DownloadConfig, run_download),

@@ -118,7 +118,7 @@ def _add_mesh(scene: viser.SceneApi, name: str, node: Mesh) -> viser.MeshHandle:
 def _add_colored_mesh(scene: viser.SceneApi, name: str, node: ColoredMesh) -> viser.GlbHandle:
     import trimesh
 
-    mesh = trimesh.Trimesh(node.vertices(), node.faces, vertex_colors=node.colors(), process=False)
+    mesh = trimesh.Trimesh(node.vertices(), node.faces, vertex_colors=_linear(node.colors()), process=False)
     return scene.add_mesh_trimesh(name, mesh, cast_shadow=False, receive_shadow=False)
 
 
@@ -144,7 +144,12 @@ def _add_lines(scene: viser.SceneApi, name: str, node: Lines) -> viser.LineSegme
 
 def _ends(color: tuple[int, int, int] | np.ndarray) -> tuple[int, int, int] | np.ndarray:
     """Colours of both ends of each segment, as viser wants them."""
-    return color if isinstance(color, tuple) else color[:, None].repeat(2, axis=1)
+    return color if isinstance(color, tuple) else _linear(color)[:, None].repeat(2, axis=1)
+
+
+def _linear(colors: np.ndarray) -> np.ndarray:
+    """Colours without the screen's gamma: for those the browser takes colours of vertices, which else look washed out."""
+    return (255 * (colors / 255.0) ** 2.2).round().astype(np.uint8)
 
 
 def _add_viewpoint(scene: viser.SceneApi, name: str, node: Viewpoint) -> viser.CameraFrustumHandle:

@@ -81,9 +81,9 @@ def depth_layer(depth: Float[np.ndarray, "h w"], opacity: float = 1.0) -> tuple[
     """Depth in colours (near warm, far cold), transparent where it was not measured, with its scale."""
     measured = depth > 0
     low, high = np.percentile(depth[measured], [1, 99]) if measured.any() else (0.0, 1.0)
-    colors = _turbo(1 - np.clip((depth - low) / max(high - low, 1e-6), 0, 1))
+    colors = turbo(1 - np.clip((depth - low) / max(high - low, 1e-6), 0, 1))
     layer = np.dstack([colors, np.where(measured, round(255 * opacity), 0).astype(np.uint8)])
-    return layer, ColorScale("depth", f"{low:.2f} m", f"{high:.2f} m", _stops(lambda x: _turbo(1 - x)))
+    return layer, ColorScale("depth", f"{low:.2f} m", f"{high:.2f} m", _stops(lambda x: turbo(1 - x)))
 
 
 def difference_layer(
@@ -105,14 +105,14 @@ def heat_layer(values: Float[np.ndarray, "h w"], unit: str, opacity: float = 1.0
     """Non-negative values in colours, zero transparent and NaN too, with their scale."""
     shown = np.isfinite(values) & (values > 0)
     high = float(values[shown].max()) if shown.any() else 1.0
-    colors = _turbo(np.clip(np.where(shown, values, 0) / high, 0, 1))
+    colors = turbo(np.clip(np.where(shown, values, 0) / high, 0, 1))
     layer = np.dstack([colors, np.where(shown, round(255 * opacity), 0).astype(np.uint8)])
-    return layer, ColorScale(unit, "0", f"{high:.3g}", _stops(_turbo))
+    return layer, ColorScale(unit, "0", f"{high:.3g}", _stops(turbo))
 
 
 def near_far(values: Float[np.ndarray, "h w"], low: float, high: float) -> UInt8[np.ndarray, "h w 3"]:
     """Distances as opaque colours, near warm and far cold, dark where there is none (0)."""
-    colors = _turbo(1 - np.clip((values - low) / max(high - low, 1e-6), 0, 1))
+    colors = turbo(1 - np.clip((values - low) / max(high - low, 1e-6), 0, 1))
     return np.where((values > 0)[..., None], colors, np.uint8(25))
 
 
@@ -135,7 +135,8 @@ def upsampled(layer: Rgba, factor: int) -> UInt8[np.ndarray, "H W 4"]:
     return layer if factor == 1 else layer.repeat(factor, axis=0).repeat(factor, axis=1)
 
 
-def _turbo(values: Float[np.ndarray, "*n"]) -> UInt8[np.ndarray, "*n 3"]:
+def turbo(values: Float[np.ndarray, "*n"]) -> UInt8[np.ndarray, "*n 3"]:
+    """Colours of numbers between 0 (blue) and 1 (red)."""
     levels = (values * 255).astype(np.uint8)
     return cv2.applyColorMap(levels.reshape(-1, 1), cv2.COLORMAP_TURBO)[:, 0, ::-1].reshape(*levels.shape, 3)
 

@@ -26,7 +26,7 @@ def layer_of(record: Any, size: tuple[int, int], opacity: float) -> tuple[Rgba, 
             layers.paint(layer, _stretched(mask.astype(np.uint8), size) > 0, (255, 80, 200), opacity)
             return layer, None
         case Heatmap(values=values, cell_px=cell_px, unit=unit):
-            return _heat(_cells(values.astype(np.float32), cell_px, size), unit, opacity)
+            return _heat(repeated(values.astype(np.float32), cell_px, size), unit, opacity)
         case Probabilities():
             return _most_likely(record, size, opacity), None
     raise TypeError(f"no layer for {type(record).__name__}")
@@ -50,10 +50,10 @@ def _most_likely(record: Probabilities, size: tuple[int, int], opacity: float) -
     x, y = record.cells.T
     grid[y, x, :3] = colors[best]
     grid[y, x, 3] = (255 * opacity * record.values.max(axis=1).astype(np.float32)).astype(np.uint8)
-    return _cells(grid, record.cell_px, size)
+    return repeated(grid, record.cell_px, size)
 
 
-def _cells(values: np.ndarray, cell_px: int, size: tuple[int, int]) -> np.ndarray:
+def repeated(values: np.ndarray, cell_px: int, size: tuple[int, int]) -> np.ndarray:
     """Repeat cells to pixels and cut or pad to the image's size."""
     full = values.repeat(cell_px, axis=0).repeat(cell_px, axis=1)[: size[1], : size[0]]
     missing = [(0, size[1] - full.shape[0]), (0, size[0] - full.shape[1])] + [(0, 0)] * (full.ndim - 2)

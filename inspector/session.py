@@ -123,13 +123,13 @@ class Session:
             self.update(replace(self.selection, **fields))
 
     def _of_another_row(self, row: RowKey | None) -> dict[str, Any]:
-        """What else changes with the row: the point of view in 3D, and the zoom with the image."""
+        """What else changes with the row: the point of view in 3D, what a stage points at, and the zoom with the image."""
         old = self.selection.row
         if row is None or row == old:
             return {}
-        if old is not None and row[:2] != old[:2] and not self.selection.follow:
-            return {"eye": NO_EYE, **WHOLE_IMAGE}
-        return {"eye": NO_EYE}
+        other_image = old is not None and row[:2] != old[:2]
+        changes = {"eye": NO_EYE, "epos": self.selection.epos.elsewhere(same_image=not other_image)}
+        return changes | WHOLE_IMAGE if other_image and not self.selection.follow else changes
 
     def update(self, selection: Selection) -> None:
         """Look at something else."""
@@ -169,6 +169,12 @@ class Session:
         self._chosen |= asked.row is not None
         self.update(replace(asked, row=asked.row or self.selection.row))
         self.refresh()
+
+    def choose(self, query: str) -> None:
+        """Look at what a part of an address names; all that it does not name stays, and the dataset does."""
+        with self._lock:
+            asked = replace(from_query(str(query), self.selection), dataset=self.selection.dataset)
+            self.update(self.workspace.within(asked))
 
     def go_to_dataset(self, selection: Selection) -> None:
         """Look at another dataset, which ends this session; a notification says why if it cannot be opened."""

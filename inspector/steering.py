@@ -7,6 +7,7 @@ import numpy as np
 
 from inspector.pointing import click_at, hit, readout
 from inspector.table import COLUMNS
+from inspector.views import TouchedView
 from pipeline.scene import ImageKey
 
 if TYPE_CHECKING:
@@ -28,6 +29,7 @@ class Steering:
         return {
             "hello": session.hello,
             "open": session.open_address,
+            "choose": session.choose,
             "command": session.command,
             "rows": self.rows,
             "select": self.select,
@@ -37,6 +39,7 @@ class Steering:
             "resize": self.resize,
             "hover": self.hover,
             "click": self.click,
+            "touch": self.touch,
         }
 
     def rows(self, first: int, count: int) -> dict[str, Any]:
@@ -112,6 +115,15 @@ class Steering:
         """What is under the mouse."""
         frame = self._session.frame
         return {"text": "" if frame is None else readout(frame, self._session.navigation, float(x), float(y))}
+
+    def touch(self, name: str, x: float, y: float) -> None:
+        """Hand a click on a named picture within a tab (at shares 0..1 of its width and height) to the tab's view."""
+        frame = self._session.frame
+        if frame is None:
+            return
+        for view in self._session.picture_views:
+            if isinstance(view, TouchedView):
+                view.touched(frame, str(name), float(x), float(y))
 
     def click(self, x: float, y: float, shift: bool = False) -> None:
         """Hand a click to the views that want it; else select the annotated instance under it, if the table has it."""

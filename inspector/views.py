@@ -82,3 +82,12 @@ class PictureView(View, Protocol):
     def clicked(self, frame: Frame, click: Click) -> bool:
         """Take a click; False leaves it to the others (at last, it selects the instance under the mouse)."""
         ...
+
+
+@runtime_checkable
+class TouchedView(PictureView, Protocol):
+    """A tab with pictures of its own that take clicks: elements with `data-touch="NAME"`."""
+
+    def touched(self, frame: Frame, name: str, x: float, y: float) -> None:
+        """Take a click on a picture, at shares 0..1 of its width and height; names begin with the view's own."""
+        ...

@@ -291,6 +291,16 @@
     }, true);
   }
 
+  // Pictures within the tabs that take clicks are marked with the name by which their view knows them.
+  function followTouches() {
+    window.addEventListener("click", (event) => {
+      const touched = event.target instanceof Element ? event.target.closest("[data-touch]") : null;
+      if (touched === null) return;
+      const box = touched.getBoundingClientRect();
+      call("touch", touched.dataset.touch, (event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height);
+    });
+  }
+
   // ---------------------------------------------------------------- keys that viser has no name for, or that move its camera
   function followKeys() {
     window.addEventListener("keydown", (event) => {
@@ -309,6 +319,20 @@
         keepFromViser(event);
       }
     }, true);
+  }
+
+  // ---------------------------------------------------------------- parts of panels that choose what is shown
+  // `data-choose` holds a part of an address; what it does not name stays as it is.
+  function followChoices() {
+    const choose = (event) => {
+      const chosen = event.target instanceof Element ? event.target.closest("[data-choose]") : null;
+      if (chosen !== null) call("choose", chosen.dataset.choose);
+      return chosen !== null;
+    };
+    window.addEventListener("click", choose);
+    window.addEventListener("keydown", (event) => {
+      if ((event.key === "Enter" || event.key === " ") && choose(event)) event.preventDefault();
+    });
   }
 
   // ---------------------------------------------------------------- start: wait for the session's key in the page
@@ -337,7 +361,9 @@
   document.addEventListener("DOMContentLoaded", () => {
     overlay.build();
     followMouse();
+    followTouches();
     followKeys();
+    followChoices();
     new MutationObserver(() => { adopt(); dismissNotice(); }).observe(document.body, { childList: true, subtree: true });
     window.addEventListener("resize", () => { table.fit(); table.fetch(true); });
     window.addEventListener("popstate", () => call("open", location.search.slice(1)));

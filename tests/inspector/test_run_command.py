@@ -3,6 +3,7 @@
 import io
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -14,6 +15,8 @@ import tyro
 from rich.console import Console
 from tiny_dataset import FIRST, SECOND, make_dataset, perfect
 
+from inspector.commands.evaluate import EvaluateConfig
+from inspector.commands.evaluate import run as run_evaluate
 from inspector.commands.record import RecordConfig
 from inspector.commands.record import run as run_record
 from inspector.commands.run import RunConfig, run
@@ -171,3 +174,18 @@ def test_ctrl_c_ends_promptly_and_the_same_command_goes_on(tmp_path: Path, worke
     assert started(*arguments)[0] == 0
     assert len(Run.open(tmp_path / "run").finished_images()) == 24
     assert len(set(Run.open(tmp_path / "run").finished_images())) == 24
+
+
+# ---- scores of a run
+
+
+def test_a_run_is_evaluated_by_its_folder(root: Path, tmp_path: Path):
+    assert replay(root)[0] == 0
+    console = Console(file=io.StringIO(), width=200)
+    assert run_evaluate(EvaluateConfig(tmp_path / "run", ()), console) == 0
+    said = console.file.getvalue()  # type: ignore[attr-defined]
+    assert "tiny/test, 6D localization" in said
+    assert re.search(r"replay\s+all\s+4\s+1\.0000", said)
+    assert "rename" not in said
+    with pytest.raises(InputError, match="no results file; name one or more"):
+        run_evaluate(EvaluateConfig(root, ()), console)
