@@ -18,12 +18,14 @@ from pipeline.bop.errors import mspd, mssd
 from pipeline.bop.vsd import vsd_of_poses
 from pipeline.hashmatch.config import HashMatchConfig
 from pipeline.hashmatch.estimator import Found, HashMatchEstimator
+from pipeline.hashmatch.proposals import Instance
+from pipeline.hashmatch.selection import choose_rough, estimate_instances
 from pipeline.hashmatch.trace import trace
 from pipeline.rendering import render
 from pipeline.scene import GroundTruth, Image, ImageKey, Target
 
-ALL_AROUND = HashMatchConfig(views="sphere", in_plane="circle", skip_symmetric_views=True, votes_kept=300)
-"""All orientations, and more candidates in a window, as there are five times as many templates as in the thesis."""
+ALL_AROUND = HashMatchConfig(views="sphere", in_plane="circle")
+"""All orientations."""
 
 LEAST_VISIBLE = 0.1
 
@@ -34,7 +36,7 @@ Poses = Sequence[tuple[int, np.ndarray]]
 
 @dataclass(frozen=True)
 class Recall:
-    """Recall with and without refinement, and of Open3D's global registration."""
+    """Recall with and without refinement, and of Open3D's global registration; both kinds of poses come from one matching."""
 
     data: Path = Path("assets/demo")
     """A BOP dataset with depth."""
@@ -52,8 +54,6 @@ class Recall:
     """Instances of each, there."""
     compare: bool = False
     """Run Open3D's global registration, too."""
-    rough: bool = True
-    """Count the rough poses, too."""
     why: bool = False
     """Say of each lost instance where it was lost."""
     pictures: Path | None = None
@@ -89,35 +89,53 @@ def recall(options: Recall, cache: Path, console: Console) -> None:
     sought = {key: _targets(dataset, key, options) for key in keys}
     ids = sorted({target.obj_id for targets in sought.values() for target in targets})
     begun = time.process_time()
-    refined = HashMatchEstimator.of_dataset(dataset, replace(config, cache=cache), ids)
+    estimator = HashMatchEstimator.of_dataset(dataset, replace(config, cache=cache), ids)
     console.print(f"{len(ids)} objects learned or loaded in {time.process_time() - begun:.0f} core-s")
-    methods = {REFINED: refined}
-    if options.rough:
-        methods[ROUGH] = HashMatchEstimator.of_dataset(dataset, replace(config, cache=cache, refine=False), ids)
     hits: dict[str, list[Hit]] = {name: [] for name in (REFINED, ROUGH, OTHER)}
     seconds: defaultdict[str, float] = defaultdict(float)
     for key in keys:
         image, truths = dataset.image(key), _truths(dataset, key)
-        for name in hits:
-            begun, found = time.process_time(), None
-            if name in methods:
-                estimates, found = methods[name].found(image, sought[key])
-                poses = [(estimate.obj_id, estimate.camera_from_model) for estimate in estimates]
-            elif name == OTHER and options.compare:
-                poses = [one for target in sought[key]
-                         for one in registered(dataset.model(target.obj_id), image, target)]  # fmt: skip
-            else:
-                continue
-            seconds[name] += time.process_time() - begun
-            own = [_hit(dataset, image, gt, visible, poses) for gt, visible in truths]
-            hits[name] += own
-            if name == REFINED:
-                _report(console, key, own, found)
-                if options.why and found is not None:
-                    _explain(console, refined, found, [gt for gt, _ in truths], own)
-                if options.pictures:
-                    _draw(options.pictures, dataset, image, poses, truths, own)
+        found, rough = _found(estimator, image, sought[key], seconds)
+        poses = _poses(estimator, found.chosen)
+        hits[REFINED] += [_hit(dataset, image, gt, visible, poses) for gt, visible in truths]
+        hits[ROUGH] += [_hit(dataset, image, gt, visible, _poses(estimator, rough)) for gt, visible in truths]
+        if options.compare:
+            begun = time.process_time()
+            others = [one for target in sought[key] for one in registered(dataset.model(target.obj_id), image, target)]
+            seconds[OTHER] += time.process_time() - begun
+            hits[OTHER] += [_hit(dataset, image, gt, visible, others) for gt, visible in truths]
+        own = hits[REFINED][len(hits[REFINED]) - len(truths) :]
+        _report(console, key, own, found)
+        if options.why:
+            _explain(console, estimator, found, [gt for gt, _ in truths], own)
+        if options.pictures:
+            _draw(options.pictures, dataset, image, poses, truths, own)
+    instances = sum(target.inst_count for targets in sought.values() for target in targets)
+    console.print(
+        f"refinement: {(seconds[REFINED] - seconds[ROUGH]) / max(instances, 1):.2f} core-s per instance sought"
+    )
     console.print(_table(hits, seconds, len(keys)))
+
+
+def _found(
+    estimator: HashMatchEstimator, image: Image, targets: Sequence[Target], seconds: dict[str, float]
+) -> tuple[Found, list[Instance]]:
+    """What is found, and the rough poses that would be reported without refinement; adds core-seconds of both."""
+    detector, positions = estimator.detector, {own.obj_id: i for i, own in enumerate(estimator.detector.objects)}
+    counts = {positions[target.obj_id]: target.inst_count for target in targets}
+    models = [estimator.models[own.obj_id] for own in detector.objects]
+    begun, core = time.perf_counter(), time.process_time()
+    matching = detector.match(image, np.isin(np.arange(len(models)), list(counts)))
+    matched = time.perf_counter()
+    seconds[ROUGH] += time.process_time() - core
+    proposed, chosen = estimate_instances(detector, matching, models, counts)
+    seconds[REFINED] += time.process_time() - core
+    wall = {"matching": matched - begun, "refinement": time.perf_counter() - matched}
+    return Found(matching, proposed, chosen, wall), choose_rough(detector, matching, counts)[1]
+
+
+def _poses(estimator: HashMatchEstimator, instances: Sequence[Instance]) -> list[tuple[int, np.ndarray]]:
+    return [(estimator.detector.objects[one.position].obj_id, one.pose) for one in instances]
 
 
 def _targets(dataset: Dataset, key: ImageKey, options: Recall) -> list[Target]:
@@ -160,8 +178,7 @@ def _hit(dataset: Dataset, image: Image, gt: GroundTruth, visible: float, poses:
     return Hit(image.key, gt.obj_id, visible, *best.tolist())
 
 
-def _report(console: Console, key: ImageKey, hits: list[Hit], found: Found | None) -> None:
-    assert found is not None
+def _report(console: Console, key: ImageKey, hits: list[Hit], found: Found) -> None:
     seconds = {**found.matching.seconds, **found.seconds}
     counted = f"{sum(hit.found for hit in hits)}/{len(hits)} found" if hits else f"{len(found.chosen)} estimates"
     seen = [hit for hit in hits if hit.visible > 0.6]

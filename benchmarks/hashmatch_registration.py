@@ -1,4 +1,8 @@
-"""What a user would pick instead of HashMatch: Open3D's global registration (FPFH features, RANSAC, ICP)."""
+"""What a user would pick instead of HashMatch: Open3D's global registration (FPFH features, RANSAC, ICP).
+
+OpenCV's detector by point-pair features, `cv2.ppf_match_3d`, is a contrib module, which the opencv-python-headless that
+is installed does not have (checked with 5.0.0).
+"""
 
 import numpy as np
 

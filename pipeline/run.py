@@ -71,17 +71,26 @@ class Run:
             InputError: the folder holds a different run or other files, or another process is writing to it.
 
         """
-        info = new_info(dataset, method, config, seed)
-        if (root / RUN_FILE).exists():
-            info = same_run(root, read_info(root), info)
-        elif root.is_dir() and any(not item.name.startswith(".") for item in root.iterdir()):
-            raise InputError(f"{root}: holds other files and no {RUN_FILE}; give an empty or new folder")
-        else:
+        info = cls.check(root, dataset=dataset, method=method, config=config, seed=seed)
+        if not (root / RUN_FILE).exists():
             _make_folder(root / RECORDINGS_FOLDER)
             write_info(root, info, {})
         run = cls(root, info, writable=True)
         run._repair()
         return run
+
+    @staticmethod
+    def check(root: Path, *, dataset: DatasetName, method: str, config: object = None, seed: int = 0) -> RunInfo:
+        """What the run is made of that `create` would start or go on with; nothing is written.
+
+        Raises InputError if the folder holds a different run or other files.
+        """
+        info = new_info(dataset, method, config, seed)
+        if (root / RUN_FILE).exists():
+            return same_run(root, read_info(root), info)
+        if root.is_dir() and any(not item.name.startswith(".") for item in root.iterdir()):
+            raise InputError(f"{root}: holds other files and no {RUN_FILE}; give an empty or new folder")
+        return info
 
     @classmethod
     def open(cls, root: Path) -> "Run":

@@ -109,9 +109,18 @@ def same_run(root: Path, old: RunInfo, new: RunInfo) -> RunInfo:
     """The run in the folder, if it can be gone on with as `new`; InputError if the two differ."""
     for name in ("dataset_name", "dataset_split", "method", "config", "seed"):
         if getattr(old, name) != getattr(new, name):
-            text = f"holds a run with another {name.replace('_', ' ')} ({getattr(old, name)}, not {getattr(new, name)})"
-            raise InputError(f"{root}: {text}; give another folder")
+            text = _difference("", getattr(old, name), getattr(new, name))
+            raise InputError(f"{root}: holds a run with another {name.replace('_', ' ')} ({text}); give another folder")
     return old
+
+
+def _difference(name: str, old: object, new: object) -> str:
+    """What differs, of mappings only the entries that do."""
+    if isinstance(old, Mapping) and isinstance(new, Mapping):
+        start = f"{name}." if name else ""
+        keys = [key for key in {**old, **new} if old.get(key) != new.get(key)]
+        return ", ".join(_difference(f"{start}{key}", old.get(key), new.get(key)) for key in keys)
+    return f"{name} {old}, not {new}".lstrip()
 
 
 def write_info(root: Path, info: RunInfo, timings: Mapping[str, float]) -> None:

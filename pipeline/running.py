@@ -8,7 +8,7 @@ import logging
 import re
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,9 +17,10 @@ from typing import Any, NamedTuple
 from pipeline.bop.dataset import Dataset
 from pipeline.estimator import Estimator
 from pipeline.exceptions import InputError
+from pipeline.explaining import Explain, explain_targets, explained
 from pipeline.lazy_estimator import LazyEstimator
 from pipeline.parallel import HERE, Workers
-from pipeline.recording import BLUEPRINT_FILE, save_blueprint
+from pipeline.recording import BLUEPRINT_FILE, StageRecorder, save_blueprint
 from pipeline.run import Run
 from pipeline.scene import ImageKey, PoseEstimate, Target
 
@@ -108,11 +109,15 @@ def _reopened(estimator: Estimator, dataset: Dataset, run: Path, record: bool) -
 
 
 def estimate_image(job: _Job, item: tuple[ImageKey, list[Target]]) -> Found:
-    """Run the estimator on one image, in whatever process, and write its recording."""
+    """Run the estimator on one image, in whatever process, and write its recording.
+
+    What is recorded ends with why annotated instances were found or lost, where the method can say so; the time that
+    this takes is not counted.
+    """
     (key, targets), estimator = item, job.estimator
     if isinstance(estimator, LazyEstimator):
         estimator = estimator.made()  # where that fails, no image can be done
-    begun = time.perf_counter()
+    begun, explaining = time.perf_counter(), 0.0
     try:
         image = job.dataset.image(key)
         with job.run.recorder(key, image.camera, enabled=job.record) as recorder:
@@ -122,11 +127,22 @@ def estimate_image(job: _Job, item: tuple[ImageKey, list[Target]]) -> Found:
                 if image.depth is not None:
                     recorder.depth("image/depth", image.depth)
                 recorder.poses("ground_truth", job.dataset.ground_truth(key))
-            estimates = estimator.estimate(image, targets, recorder)
+            estimates, explain = explained(estimator, image, targets, recorder)
             recorder.poses("estimates", estimates)
+            if recorder.enabled and explain is not None:
+                explaining = _explain(job.dataset, key, targets, explain, recorder)
     except InputError as error:
         return Found([], time.perf_counter() - begun, str(error))
-    return Found(estimates, time.perf_counter() - begun)
+    return Found(estimates, time.perf_counter() - begun - explaining)
+
+
+def _explain(
+    dataset: Dataset, key: ImageKey, targets: Sequence[Target], explain: Explain, recorder: StageRecorder
+) -> float:
+    """Record why the instances of the targets were found or lost; how many seconds it took."""
+    begun = time.perf_counter()
+    explain_targets(explain, dataset.ground_truth(key), targets, dataset.model, recorder)
+    return time.perf_counter() - begun
 
 
 def _add(run: Run, key: ImageKey, found: Found) -> bool:

@@ -36,16 +36,25 @@ OWNERS = {
 
 ENTRANCES = [
     "annotate",
+    "annotate.depth",
+    "annotate.quality",
     "inspector.__main__",
     "inspector.app",
+    "inspector.commands.calibrate",
+    "inspector.commands.depth_correct",
     "inspector.commands.doctor",
     "inspector.commands.evaluate",
     "inspector.commands.gt_info",
+    "inspector.commands.gt_quality",
     "inspector.commands.run",
     "inspector.commands.serve",
+    "inspector.commands.trace",
+    "inspector.commands.train",
     "pipeline.bop.assessment",
     "pipeline.bop.dataset",
     "pipeline.bop.errors",
+    "pipeline.epos.config",
+    "pipeline.epos.training.config",
     "pipeline.run",
 ]
 """Modules that must load none of `OWNERS`."""

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -31,7 +31,8 @@ class EvaluateConfig:
     """
 
     dataset: Positional[Path]
-    """Folder of a BOP dataset, or one with several of them: then the files' names tell which each is for."""
+    """Folder of a BOP dataset, or one with several of them: then the files' names tell which each is for. Or the folder
+    of a run, alone: it knows its dataset and results."""
     results: Positional[tuple[Path, ...]]
     """BOP results files, METHOD_DATASET-SPLIT.csv; for 2D detection .json or .json.gz."""
     task: Literal["localization", "siso", "detection"] = "localization"
@@ -82,7 +83,7 @@ def run(config: EvaluateConfig, console: Console | None = None) -> int:
     from pipeline.parallel import open_workers
 
     console = console or Console()
-    jobs = _jobs(config)
+    jobs = _jobs(_of_run(config))
     evaluations: list[AnyEvaluation] = []
     with open_workers(config.workers, config.scheduler) as workers:
         for job in jobs:
@@ -103,6 +104,18 @@ def run(config: EvaluateConfig, console: Console | None = None) -> int:
     if config.json and summaries:
         write_json(config.json, _content(summaries, means, len(jobs)))
     return 0 if len(evaluations) == len(jobs) else 2
+
+
+def _of_run(config: EvaluateConfig) -> EvaluateConfig:
+    """With the dataset and the results of a run where its folder is given in the place of a dataset."""
+    from pipeline.run import RESULTS_FILE, RUN_FILE
+    from pipeline.run_info import read_info
+
+    if config.results or not (config.dataset / RUN_FILE).is_file():
+        return config
+    info = read_info(config.dataset)
+    split = config.split or info.dataset_split
+    return replace(config, dataset=Path(info.dataset_root), results=(config.dataset / RESULTS_FILE,), split=split)
 
 
 def _content(summaries: "Sequence[Summary]", means: "Sequence[Mean]", files: int) -> Any:
@@ -197,7 +210,8 @@ def _poses(config: EvaluateConfig, job: _Job, execution: "Execution", console: C
         raise FormatError(
             f"{job.file}: {checked.unusable.text if checked.unusable else 'cannot be read; get it again'}"
         )
-    results = checked.results
+    method = _method_of_run(job.file)
+    results = checked.results if method is None else replace(checked.results, method=method)
     with _progress(console, job.file.name) as progress:
         if config.task == "siso":
             evaluation = evaluate_siso(job.dataset, results, progress, execution=execution)
@@ -206,8 +220,17 @@ def _poses(config: EvaluateConfig, job: _Job, execution: "Execution", console: C
         else:
             options = {"with_vsd": config.vsd, "with_ad": config.add}
             evaluation = evaluate(job.dataset, results, progress, **options, execution=execution)
-    refused = [f"BOP would refuse the file: {found.text}" for found in checked.errors]
+    errors = [found for found in checked.errors if method is None or found.kind != "file name"]
+    refused = [f"BOP would refuse the file: {found.text}" for found in errors]
     return with_notes(evaluation, [*refused, *(found.text for found in checked.warnings)])
+
+
+def _method_of_run(file: Path) -> str | None:
+    """Method of the run whose results these are; None for a file of its own."""
+    from pipeline.run import RUN_FILE
+    from pipeline.run_info import read_info
+
+    return read_info(file.parent).method if (file.parent / RUN_FILE).is_file() else None
 
 
 @contextmanager

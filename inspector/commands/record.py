@@ -31,7 +31,7 @@ def run(config: RecordConfig, console: Console | None = None) -> int:
 
     InputError is left to the caller.
     """
-    from inspector.commands.run import Work
+    from inspector.commands.work import Work, crew
     from inspector.opening import notes_on
     from inspector.workspace import Method
     from pipeline.bop.assessment import targets_of
@@ -49,5 +49,9 @@ def run(config: RecordConfig, console: Console | None = None) -> int:
         raise InputError(
             f"{config.results}: has nothing for the images of {config.dataset}; give the dataset it is for"
         )
-    with Run.create(config.out, dataset=dataset, method=results.method or config.results.stem) as made:
-        return Work("recording", Replay(dataset, results), dataset, targets).into(made, console, config.workers)
+    work = Work("recording", Replay(dataset, results), dataset, targets)
+    with (
+        crew(config.workers) as by,
+        Run.create(config.out, dataset=dataset, method=results.method or config.results.stem) as made,
+    ):
+        return work.into(made, by, console)

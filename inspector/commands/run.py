@@ -1,25 +1,19 @@
 """`inspector run`: a method over a dataset, into a run folder."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, make_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Union
 
 from rich.console import Console
-from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from tyro.conf import OmitSubcommandPrefixes, Positional, Suppress, arg, subcommand
 
-from inspector.interruption import interruptible
-from inspector.methods import METHODS
-from pipeline.exceptions import InputError, MissingFileError
+from inspector.commands.work import Work, crew, prepare
+from inspector.methods import METHODS, Method
+from pipeline.exceptions import InputError, MissingFileError, UnknownIdError
 
 if TYPE_CHECKING:
-    from pipeline.bop.dataset import Dataset
-    from pipeline.estimator import Estimator
-    from pipeline.run import Run
-    from pipeline.scene import Model, Target
+    from pipeline.scene import Target
 
 
 @dataclass(frozen=True)
@@ -76,85 +70,56 @@ def run(config: RunConfig, console: Console | None = None) -> int:
 
     options: Any = config.options
     name = next(name for name, kind in _BY_METHOD.items() if isinstance(options, kind))
+    method, console = METHODS[name], console or Console()
     dataset = open_dataset(options.dataset, options.split)
-    targets = chosen_targets(dataset, options.targets, options.scenes, options.images)
-    settings = _checked(options.method)
-    seed = getattr(settings, "seed", 0)
-    estimator = METHODS[name].estimator(settings, dataset)
-    console = console or Console()
-    with Run.create(options.out, dataset=dataset, method=name, config=asdict(settings), seed=seed) as made:
-        work = Work(name, estimator, dataset, targets, options.record)
-        return work.into(made, console, options.workers, options.scheduler)
+    settings = _for_objects(_checked(options.method, method), chosen_targets(dataset, options.targets))
+    targets = _of_objects(chosen_targets(dataset, options.targets, options.scenes, options.images), settings)
+    what = {"dataset": dataset, "method": name, "config": asdict(settings), "seed": getattr(settings, "seed", 0)}
+    Run.check(options.out, **what)
+    with crew(options.workers, options.scheduler) as by:
+        if not prepare(method, settings, dataset, by, console, name):
+            return 130
+        with Run.create(options.out, **what) as made:
+            return Work(name, method.estimator(settings, dataset), dataset, targets, options.record).into(
+                made, by, console
+            )
 
 
-def _checked(settings: Any) -> Any:
+def _checked(settings: Any, method: Method) -> Any:
     """Settings with whole paths: workers may be elsewhere, and a run that goes on may be begun from another folder.
 
     Raises MissingFileError for a path where nothing is, before there is a run with it.
     """
     paths = {name: value.absolute() for name, value in vars(settings).items() if isinstance(value, Path)}
     for name, path in paths.items():
-        if not path.exists():
+        if name not in method.outputs and not path.exists():
             raise MissingFileError(f"{path}: no such file; correct --{name.replace('_', '-')}")
     return replace(settings, **paths)
 
 
-@dataclass(frozen=True)
-class Work:
-    """What is to be done by `inspector run` and its kin."""
+def _for_objects(settings: Any, targets: "Sequence[Target]") -> Any:
+    """Settings with the objects of all targets, where they have `objects` and none are named.
 
-    title: str
-    estimator: "Estimator"
-    dataset: "Dataset"
-    targets: "Sequence[Target]"
-    record: bool = True
-
-    def into(self, run: "Run", console: Console, count: int | None, scheduler: str | None = None) -> int:
-        """Do it with `count` workers or those of a scheduler, show how far it is, and return the exit code."""
-        from pipeline.parallel import open_workers
-        from pipeline.running import run_estimator
-
-        images = {target.image for target in self.targets}
-        finished = len(images.intersection(run.finished_images()))
-        if self.record:
-            run.save_models(self._models(console))
-        try:
-            with (
-                open_workers(count, scheduler) as workers,
-                interruptible() as check_interruption,
-                _bar(console, self.title, finished, len(images)) as update,
-            ):
-
-                def progress(share: float) -> None:
-                    update(share)
-                    check_interruption()
-
-                options: dict[str, Any] = {"targets": self.targets, "record": self.record}
-                failed = run_estimator(self.estimator, self.dataset, run, **options, progress=progress, workers=workers)
-        except KeyboardInterrupt:
-            done = len(images.intersection(run.finished_images()))
-            console.print(f"interrupted at {done} of {len(images)} images; the same command continues where it stopped")
-            return 130
-        root = escape(str(run.root))
-        failures = f"{failed} of {len(images) - finished} images failed; " if failed else ""
-        console.print(f"{root}: {failures}open it with: inspector serve {root}", soft_wrap=True, highlight=False)
-        return 1 if failed else 0
-
-    def _models(self, console: Console) -> "list[Model]":
-        """Models of the targets' objects; one that cannot be read is named and left out."""
-        models = []
-        for obj_id in sorted({target.obj_id for target in self.targets}):
-            try:
-                models.append(self.dataset.model(obj_id))
-            except InputError as error:
-                console.print(f"[yellow]left out:[/yellow] {escape(str(error))}", soft_wrap=True)
-        return models
+    They do not depend on the scenes and images that are chosen, so that these can be taken one after the other.
+    Raises UnknownIdError for an object that no target has.
+    """
+    named = getattr(settings, "objects", None)
+    if named is None:
+        return settings
+    known = {target.obj_id for target in targets}
+    for obj_id in named:
+        if obj_id not in known:
+            raise UnknownIdError("object", obj_id, "the targets", known)
+    return replace(settings, objects=tuple(sorted(set(named) or known)))
 
 
-@contextmanager
-def _bar(console: Console, title: str, finished: int, total: int) -> "Iterator[Any]":
-    """A bar that counts images; updated with the share of those that were not finished before."""
-    columns = (TextColumn(escape(title)), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console) as bars:
-        task = bars.add_task("", total=total, completed=finished)
-        yield lambda share: bars.update(task, completed=round(finished + share * (total - finished)))
+def _of_objects(targets: "list[Target]", settings: Any) -> "list[Target]":
+    """Targets of the settings' objects. Raises InputError if there are none."""
+    named = getattr(settings, "objects", None)
+    if named is None:
+        return targets
+    chosen = [target for target in targets if target.obj_id in named]
+    if not chosen:
+        objects = ", ".join(map(str, named))
+        raise InputError(f"these images have no targets of the objects {objects}; correct --objects, or leave it out")
+    return chosen

@@ -178,38 +178,3 @@ def hues(rgb: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w"]:
     hue[saturation < 0.12 * 255] = HUE_BINS // 6
     hue[value < 0.12 * 255] = HUE_BINS * 2 // 3
     return hue
-
-
-def filled(depth: Float[np.ndarray, "h w"], steps: int = 6) -> Float[np.ndarray, "h w"]:
-    """Depth with holes filled from their rims with the farthest value, as depth is missing beside nearer objects."""
-    result = np.ascontiguousarray(depth, np.float32).copy()
-    kernel = np.ones((3, 3), np.uint8)
-    for _ in range(steps):
-        holes = result <= 0
-        if not holes.any():
-            break
-        result[holes] = cv2.dilate(result, kernel)[holes]
-    return result
-
-
-def spread(bits: UInt8[np.ndarray, "h w"], side: int) -> UInt8[np.ndarray, "h w"]:
-    """The response map: each pixel has the bits of all pixels in the square around it (Linemod)."""
-    return _spread(np.ascontiguousarray(bits), side // 2)
-
-
-@compiled
-@no_type_check
-def _spread(bits, reach):
-    height, width = bits.shape
-    rows = np.zeros_like(bits)
-    for v in range(height):
-        for shift in range(-reach, reach + 1):
-            first, last = max(0, -shift), min(width, width - shift)
-            for u in range(first, last):
-                rows[v, u] |= bits[v, u + shift]
-    result = np.zeros_like(bits)
-    for v in range(height):
-        for w in range(max(0, v - reach), min(height, v + reach + 1)):
-            for u in range(width):
-                result[v, u] |= rows[w, u]
-    return result

@@ -1,6 +1,6 @@
 """All parameters of HashMatch; the defaults are those of the thesis (ch. HashMatch, sec. Experimental Evaluation)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -13,23 +13,35 @@ NORMAL_BINS = 8
 GRADIENT_BINS = 8
 """Orientations of image gradients, over half a turn: which side is brighter does not matter."""
 
+TEMPLATES_OF_THESIS = 2916
+"""Of an object, for which n is meant."""
+
 
 @dataclass(frozen=True)
 class HashMatchConfig:
     """Find known objects in RGB-D images by templates, hashing and particle swarms (HashMatch)."""
 
-    task: Literal["localization", "detection"] = "localization"
-    """Localization reports as many instances as there are; detection all that are good enough."""
+    task: Literal["localization", "siso", "detection"] = "localization"
+    """Localization reports as many instances of an object as the targets say (ViVo), SiSo the best one, detection all
+    that are good enough."""
+    objects: tuple[int, ...] = ()
+    """Ids of the objects to learn and to look for; by default all among the targets."""
+    templates: Path | None = None
+    """Folder of a split, such as tless/train_primesense, whose images become the templates; by default templates are
+    rendered from the models."""
     views: Literal["hemisphere", "sphere"] = "hemisphere"
-    """Directions from which templates see the object: the upper half (thesis), or all around."""
+    """Directions from which templates see the object: the upper half (thesis), for objects that stand upright before a
+    camera that looks down, or all around. With in-plane circle: for objects in any orientation, as in bins or T-LESS."""
     in_plane: Literal["limited", "circle"] = "limited"
-    """Rotations of the templates about the optical axis: -40 to 40 degrees (thesis), or all around."""
+    """Rotations of the templates about the optical axis: -40 to 40 degrees (thesis), for cameras held upright, or all
+    around."""
     angle_step_deg: int = 10
     """Step in azimuth, elevation and in-plane rotation."""
     in_plane_limit_deg: int = 40
     """Largest in-plane rotation where it is limited."""
-    skip_symmetric_views: bool = False
-    """Leave out views that look like another one under a symmetry of the model."""
+    skip_symmetric_views: bool = True
+    """Leave out views that look like another one under a symmetry that models_info.json lists for the model. Only equal
+    templates go; they would take the n places of a window from different ones. Models without symmetries keep all."""
     scales_up: int = 4
     """Levels of the pyramid that are larger than the image, for objects far away."""
     scales_down: int = 4
@@ -40,8 +52,9 @@ class HashMatchConfig:
     """Add levels at which objects at the measured distances fit the window, where the above do not reach them."""
     window_step_px: int = 5
     """Between two windows, at every level."""
-    overhang_px: int = 27
-    """By how much a window may reach beyond the border of the image."""
+    overhang_px: int = 54
+    """By how much a window may reach beyond the border of the image; half a window, so that objects are found whose
+    middle is still in sight."""
     edgel_threshold: float = 0.3
     """tau, as a share of the diameter of the smallest object: response of the Sobel operator over depth at an edgel."""
     edgel_share: float = 0.3
@@ -55,7 +68,8 @@ class HashMatchConfig:
     triplets: int = 5000
     """q: triplets of reference points from which those of the tables are chosen."""
     votes_kept: int = 100
-    """n: templates that a window passes on, at most."""
+    """n: templates that a window passes on, at most. In proportion more where objects have more than the 2,916 templates
+    of the thesis on average, as with all views: nearest templates then share their votes with more neighbours."""
     votes_needed: int = 3
     """m: votes that a template needs."""
     points: int = 100
@@ -81,12 +95,12 @@ class HashMatchConfig:
     """Detections of an object whose boxes overlap by more (intersection over union) are the same one."""
     starts: int = 2500
     """Verified templates of an object whose rough poses are compared with the depth image: the best of each place."""
-    drawn_per_instance: int = 60
+    drawn_per_instance: int = 300
     """Of these, for each instance sought, the best ones that are drawn to the measured surface."""
-    starts_per_instance: int = 10
-    """Of these, for each instance sought, the best ones that get a short swarm."""
+    redrawn_per_instance: int = 60
+    """Of these, for each instance sought, the best ones that are drawn to it once more, at more pixels."""
     swarms_per_instance: int = 4
-    """Of these, the best ones that get a whole swarm."""
+    """Of these, the best ones that get a swarm."""
     rescans: int = 1
     """How often objects still missing are sought again, with what sure poses explain masked out (as is a gripper in the
     thesis)."""
@@ -105,6 +119,10 @@ class HashMatchConfig:
     seed: int = 0
     """Of the triplets and the swarms."""
     threads: int = 0
-    """Threads that match; 0 takes as many as there are cores."""
+    """Threads that match in each process; 0 takes as many as there are cores for it."""
     cache: Path | None = None
-    """Folder of the templates that were learned; by default in the user's cache."""
+    """Folder in which learned templates are kept, made if absent; by default one in the user's cache."""
+
+    def for_templates(self, per_object: float) -> "HashMatchConfig":
+        """The same with n for objects of so many templates on average."""
+        return replace(self, votes_kept=round(self.votes_kept * max(1.0, per_object / TEMPLATES_OF_THESIS)))

@@ -1,7 +1,8 @@
 """HashMatch as an estimator (thesis ch. HashMatch): templates, the cascade over windows, refinement."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from time import perf_counter
 
 import numpy as np
@@ -9,12 +10,15 @@ import numpy as np
 from pipeline.bop.dataset import Dataset
 from pipeline.exceptions import UnknownIdError
 from pipeline.hashmatch.config import HashMatchConfig
+from pipeline.hashmatch.dataset_models import DatasetModels, focal_length
 from pipeline.hashmatch.detector import Detector, Matching
+from pipeline.hashmatch.learning import Progress, learned
+from pipeline.hashmatch.preparation import cache_of, source_of
 from pipeline.hashmatch.proposals import Instance
 from pipeline.hashmatch.pyramid import check_image
 from pipeline.hashmatch.selection import estimate_instances
 from pipeline.hashmatch.showing import show_matching, show_refinement, show_tests
-from pipeline.hashmatch.template_cache import cached_templates
+from pipeline.parallel.threads import thread_limit
 from pipeline.recording import NullRecorder, StageRecorder
 from pipeline.scene import Image, Model, PoseEstimate, Target
 
@@ -37,45 +41,36 @@ class HashMatchEstimator:
 
     def __init__(
         self, models: Mapping[int, Model], config: HashMatchConfig, focal_px: float,
-        progress: Callable[[float], None] = lambda _: None,
+        progress: Progress = lambda *_: None,
     ) -> None:  # fmt: skip
         """Learn the objects, or take their templates from the cache.
 
         Args:
             models: By object id, with colour, diameter and symmetries.
             config: All parameters.
-            focal_px: Focal length of the templates; that of the images, best.
-            progress: Called with the share learned, 0..1.
+            focal_px: Focal length of the templates, rounded to pixels; that of the images, best.
+            progress: See `learned`.
 
         Raises:
-            InputError: a model has no faces, or the cache cannot be used.
+            InputError: a model cannot be rendered, or the cache cannot be used.
 
         """
-        self.models = dict(models)
+        self.models = models
         self.config = config
-
-        def part(i: int) -> Callable[[float], None]:
-            return lambda share: progress((i + share) / len(models))
-
-        templates = [
-            cached_templates(model, config, focal_px, config.cache, part(i))
-            for i, model in enumerate(self.models.values())
-        ]
-        self.detector = Detector(templates, config)
+        templates = learned(source_of(models, config, focal_px), tuple(models), cache_of(config), progress=progress)
+        self.detector = Detector(templates, _for_matching(config))
 
     @classmethod
     def of_dataset(
         cls, dataset: Dataset, config: HashMatchConfig, obj_ids: Sequence[int] = (),
-        progress: Callable[[float], None] = lambda _: None,
+        progress: Progress = lambda *_: None,
     ) -> "HashMatchEstimator":  # fmt: skip
-        """Learn objects of a dataset (all, by default) for its cameras. Raises InputError if they or K are bad."""
-        models = {obj_id: _model(dataset, obj_id) for obj_id in obj_ids or dataset.obj_ids}
-        camera = dataset.camera(next(dataset.images()))
-        focal = float(np.sqrt(abs(camera.K[0, 0] * camera.K[1, 1])))
-        if not np.isfinite(focal) or focal <= 0:
-            key = next(dataset.images())
-            check_image(dataset.image(key))
-        return cls(models, config, focal, progress)
+        """Learn objects of a dataset (by default those of the config, else all) for its cameras.
+
+        Raises InputError if they or the cameras cannot be used.
+        """
+        models = DatasetModels(dataset, obj_ids or config.objects)
+        return cls(models, config, focal_length(dataset), progress)
 
     def estimate(self, image: Image, targets: Sequence[Target], recorder: StageRecorder) -> list[PoseEstimate]:
         """See `pipeline.estimator.Estimator`. For detection the counts of the targets are ignored.
@@ -114,15 +109,15 @@ class HashMatchEstimator:
         for target in targets:
             if target.obj_id not in positions:
                 raise UnknownIdError("object", target.obj_id, "the templates that were learned", positions)
-        return {positions[target.obj_id]: target.inst_count for target in targets}
+        siso = self.config.task == "siso"
+        return {positions[target.obj_id]: 1 if siso else target.inst_count for target in targets}
 
     def _estimate(self, image: Image, instance: Instance) -> PoseEstimate:
         obj_id = self.detector.objects[instance.position].obj_id
         return PoseEstimate(*image.key, obj_id, instance.score, instance.pose)
 
 
-def _model(dataset: Dataset, obj_id: int) -> Model:
-    """The model with its looks. Raises UnknownIdError for an object that the dataset does not have."""
-    if obj_id not in dataset.obj_ids:
-        raise UnknownIdError("object", obj_id, dataset.name, dataset.obj_ids)
-    return dataset.model(obj_id, "display")
+def _for_matching(config: HashMatchConfig) -> HashMatchConfig:
+    """What the stages go by: SiSo is localization of one instance; processes side by side share the cores."""
+    threads = config.threads or thread_limit() or len(os.sched_getaffinity(0))
+    return replace(config, task="localization" if config.task == "siso" else config.task, threads=threads)

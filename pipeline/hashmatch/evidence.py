@@ -24,7 +24,11 @@ ENDLESS = 0.3
 """Share of the gains that is lost where the measured surface goes on across the whole outline."""
 
 OTHER_COLOR = 0.5
-"""What a pixel of another hue than the model's counts, by that of one alike."""
+"""What a pixel of another hue than the model's counts, by that of one alike; and again one much darker or brighter."""
+
+BRIGHTNESS = (0.7, 1.7)
+"""Octaves between the values (HSV) of image and model: up to the first they are alike under any usual light, from the
+second on they are not."""
 
 QUALITY = 1.0
 """Power of the share of its surface that a pose explains, by which all that speaks for and against it is weighted."""
@@ -66,10 +70,10 @@ def gather(fit: DepthFit, poses: Float[np.ndarray, "n 4 4"], color_tolerance: fl
     """Evidence of poses at all pixels of a fit, which must be made with step 1; what others explain is not left out."""
     centroid = (fit.model.vertices.min(axis=0) + fit.model.vertices.max(axis=0)) / 2
     boxes = [fit.box(pose[:3, :3] @ centroid + pose[:3, 3], 0.55 * fit.model.diameter) for pose in poses]
-    rgb, of_faces = fit.base.image.rgb, face_hues(fit.model)
+    rgb, of_faces = fit.base.image.rgb, face_colors(fit.model)
     if rgb is None:
-        of_faces = np.full_like(of_faces, NONE)
-    hues = channels.hues(np.zeros((*fit.depth.shape, 3), np.uint8) if rgb is None else rgb)
+        rgb, of_faces = np.zeros((*fit.depth.shape, 3), np.uint8), np.full_like(of_faces, NONE)
+    colors = hues_and_values(rgb)
     found = []
     for pose, box in zip(poses, boxes, strict=True):
         if not box.area:
@@ -80,8 +84,8 @@ def gather(fit: DepthFit, poses: Float[np.ndarray, "n 4 4"], color_tolerance: fl
         pixels, gains, cost, going_on, share = _gather(
             hit.depth, hit.normals, np.ascontiguousarray(pose[:3, :3]), fit.camera.K, box.x0, box.y0,
             fit.depth[rows, columns], fit.normals[rows, columns], fit.tolerance,
-            hues[rows, columns], of_faces, hit.face_ids, color_tolerance / 2,
-            LEAST_GAIN, HIDDEN_COST, ENDLESS, OTHER_COLOR, max(REACH, 3 * fit.tolerance),
+            colors[rows, columns], of_faces, hit.face_ids, color_tolerance / 2,
+            LEAST_GAIN, HIDDEN_COST, ENDLESS, OTHER_COLOR, *BRIGHTNESS, max(REACH, 3 * fit.tolerance),
         )  # fmt: skip
         v, u = np.divmod(pixels, box.x1 - box.x0)
         found.append(Evidence((v + box.y0) * fit.camera.width + u + box.x0, gains, cost, going_on, share))
@@ -89,8 +93,8 @@ def gather(fit: DepthFit, poses: Float[np.ndarray, "n 4 4"], color_tolerance: fl
 
 
 @per_model
-def face_hues(model: Model) -> UInt8[np.ndarray, "f"]:
-    """Hue of each face's middle in steps of two degrees, NONE for models without colour."""
+def face_colors(model: Model) -> UInt8[np.ndarray, "f 2"]:
+    """Hue (steps of two degrees) and value of each face's middle, NONE for models without colour."""
     if model.texture is not None and model.texture_uv is not None:
         height, width = model.texture.shape[:2]
         uv = model.texture_uv[model.faces].mean(axis=1) % 1.0
@@ -98,15 +102,20 @@ def face_hues(model: Model) -> UInt8[np.ndarray, "f"]:
     elif model.colors is not None:
         colors = model.colors[model.faces].mean(axis=1).astype(np.uint8)
     else:
-        return np.full(len(model.faces), NONE, np.uint8)
-    return channels.hues(np.ascontiguousarray(colors[None, :, :3]))[0]
+        return np.full((len(model.faces), 2), NONE, np.uint8)
+    return hues_and_values(np.ascontiguousarray(colors[None, :, :3]))[0]
+
+
+def hues_and_values(rgb: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 2"]:
+    """The hue of `channels.hues`, and the value of HSV."""
+    return np.stack([channels.hues(rgb), rgb.max(axis=2)], axis=-1)
 
 
 @compiled
 @no_type_check
 def _gather(
-    rendered, rendered_normals, rotation, K, x0, y0, measured, measured_normals, tolerance, hues, of_faces,
-    face_ids, hue_tolerance, least, hidden, endless, other, reach,
+    rendered, rendered_normals, rotation, K, x0, y0, measured, measured_normals, tolerance, colors, of_faces,
+    face_ids, hue_tolerance, least, hidden, endless, other, alike_until, other_from, reach,
 ):  # fmt: skip
     height, width = rendered.shape
     pixels, gains = np.empty(height * width, np.int64), np.empty(height * width, np.float32)
@@ -134,10 +143,13 @@ def _gather(
                 alike += normal[k] * measured_normals[v, u, k]
             pixels[n] = v * width + u
             gain = (1 - difference * difference) * (0.4 + 0.6 * alike * alike)
-            hue = of_faces[face_ids[v, u]]
+            hue, value = of_faces[face_ids[v, u], 0], of_faces[face_ids[v, u], 1]
             if hue != 255:
-                apart = abs(np.int64(hue) - np.int64(hues[v, u]))
+                apart = abs(np.int64(hue) - np.int64(colors[v, u, 0]))
                 gain *= 1.0 if min(apart, 180 - apart) <= hue_tolerance else other
+                octaves = abs(np.log2((colors[v, u, 1] + 8.0) / (value + 8.0)))
+                strange = min(max((octaves - alike_until) / (other_from - alike_until), 0.0), 1.0)
+                gain *= 1 - strange * (1 - other)
             gains[n] = gain
             explained += gain
             n += 1

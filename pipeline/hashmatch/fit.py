@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 
 from pipeline.hashmatch.compiling import compiled
 from pipeline.hashmatch.pyramid import Base
-from pipeline.ray_casting import Box, cast
+from pipeline.ray_casting import Box, Hits, cast
 from pipeline.scene import Camera, Model
 
 HIDDEN = 0.5
@@ -65,14 +65,22 @@ class DepthFit:
         for first in range(0, len(poses), per_batch):
             batch = slice(first, first + per_batch)
             hits = cast(self.model, self.camera, poses[batch], boxes[batch], 0.0)
-            for i, (hit, pose, box) in enumerate(zip(hits, poses[batch], boxes[batch], strict=True)):
-                if box.area:
-                    rows, columns = box.slices
-                    found[first + i] = _score(
-                        hit.depth, hit.normals, np.ascontiguousarray(pose[:3, :3]),
-                        self.depth[rows, columns], self.normals[rows, columns], self.taken[rows, columns],
-                        self.tolerance, HIDDEN, UNKNOWN, endless,
-                    )  # fmt: skip
+            found[batch] = self.scores_of(hits, poses[batch], boxes[batch], endless)
+        return found
+
+    def scores_of(
+        self, hits: list[Hits], poses: Float[np.ndarray, "n 4 4"], boxes: list[Box], endless: float = ENDLESS
+    ) -> Float[np.ndarray, "n"]:
+        """The same for poses that are rendered already."""
+        found = np.zeros(len(poses))
+        for i, (hit, pose, box) in enumerate(zip(hits, poses, boxes, strict=True)):
+            if box.area:
+                rows, columns = box.slices
+                found[i] = _score(
+                    hit.depth, hit.normals, np.ascontiguousarray(pose[:3, :3]),
+                    self.depth[rows, columns], self.normals[rows, columns], self.taken[rows, columns],
+                    self.tolerance, HIDDEN, UNKNOWN, endless,
+                )  # fmt: skip
         return found
 
 

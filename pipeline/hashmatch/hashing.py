@@ -28,8 +28,8 @@ class HashTables:
     """Reference points of each table."""
     boundaries: Float[np.ndarray, "b"]
     """Metres; between the bins of depth differences."""
-    starts: Integer[np.ndarray, "h k"]
-    """Where the identifiers of each key begin in `ids`; one more than there are keys."""
+    starts: Integer[np.ndarray, "k"]
+    """Where the identifiers of each table, key and object begin in `ids`, in this order; one more than there are."""
     ids: Integer[np.ndarray, "n"]
     """Templates."""
     objects: Integer[np.ndarray, "t"]
@@ -53,14 +53,15 @@ def build_tables(objects: Sequence[Templates], config: HashMatchConfig) -> HashT
     triplets = random_triplets(bins[sample] != NONE, config.triplets, rng)
     boundaries = equal_frequency_boundaries(distances[sample], triplets, config.depth_bins)
     chosen, entropies = most_informative(distances[sample], bins[sample], triplets, boundaries, config.tables)
-    starts, ids = _filled(distances, bins, chosen, boundaries)
     counts = [len(own) for own in objects]
+    of_objects = np.repeat(np.arange(len(objects), dtype=np.int32), counts)
+    starts, ids = _filled(distances, bins, of_objects, chosen, boundaries)
     return HashTables(
         triplets=chosen,
         boundaries=boundaries,
         starts=starts,
         ids=ids,
-        objects=np.repeat(np.arange(len(objects), dtype=np.int32), counts),
+        objects=of_objects,
         firsts=np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
         entropies=entropies,
     )
@@ -157,16 +158,22 @@ def most_informative(
 
 
 def _filled(
-    distances: np.ndarray, bins: np.ndarray, triplets: np.ndarray, boundaries: np.ndarray
+    distances: np.ndarray, bins: np.ndarray, objects: np.ndarray, triplets: np.ndarray, boundaries: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The tables as lists of templates, one after the other: (starts, ids)."""
+    """The tables as lists of templates, one after the other: (starts, ids).
+
+    With a list per object, voting passes over the objects that are not looked for.
+    """
+    count = int(objects.max(initial=0)) + 1
     keys = (len(boundaries) + 1) ** 2 * NORMAL_BINS**3
-    starts, ids, filled = [], [], 0
-    for triplet in triplets:
+    starts = np.zeros(len(triplets) * keys * count + 1, np.int32 if bins.size < 2**31 else np.int64)
+    ids, filled = [], 0
+    for h, triplet in enumerate(triplets):
         key = keys_of(distances, bins, triplet, boundaries)
         valid = np.flatnonzero(key >= 0)
-        ids.append(valid[np.argsort(key[valid], kind="stable")].astype(np.int32))
-        ends = np.cumsum(np.bincount(key[valid], minlength=keys))
-        starts.append(filled + np.concatenate([[0], ends]))
+        in_list = key[valid] * count + objects[valid]
+        ids.append(valid[np.argsort(in_list, kind="stable")].astype(np.uint16 if len(bins) <= 2**16 else np.int32))
+        ends = np.cumsum(np.bincount(in_list, minlength=keys * count))
+        starts[1 + h * keys * count : 1 + (h + 1) * keys * count] = filled + ends
         filled += len(valid)
-    return np.array(starts, np.int32 if filled < 2**31 else np.int64), np.concatenate(ids)
+    return starts, np.concatenate(ids)

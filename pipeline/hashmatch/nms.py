@@ -35,29 +35,31 @@ def suppress(
     Boxes are x0, y0, x1, y1; overlap is intersection over union. Equal scores go by row.
     """
     order = np.argsort(-scores, kind="stable")
-    by = _suppress(order, np.ascontiguousarray(boxes, np.float64), np.ascontiguousarray(groups, np.int64), overlap)
+    by = np.full(len(order), -1)
+    boxes = np.ascontiguousarray(boxes, np.float64)
+    for group in np.unique(groups):
+        _suppress(order[groups[order] == group], boxes, overlap, by)
     return Suppressed(order[by[order] == order], by)
 
 
 @compiled
 @no_type_check
-def _suppress(order, boxes, groups, overlap):
-    by = np.full(len(order), -1)
-    for i in range(len(order)):
-        a = order[i]
-        if by[a] >= 0:
-            continue
+def _suppress(left, boxes, overlap, by):
+    """Suppress within a group, given best first; the rows that are left over move up in `left`."""
+    count = len(left)
+    while count > 0:
+        a, others = left[0], 0
         by[a] = a
         area = (boxes[a, 2] - boxes[a, 0]) * (boxes[a, 3] - boxes[a, 1])
-        for j in range(i + 1, len(order)):
-            b = order[j]
-            if by[b] >= 0 or groups[a] != groups[b]:
-                continue
+        for j in range(1, count):
+            b = left[j]
             width = min(boxes[a, 2], boxes[b, 2]) - max(boxes[a, 0], boxes[b, 0])
             height = min(boxes[a, 3], boxes[b, 3]) - max(boxes[a, 1], boxes[b, 1])
-            if width <= 0 or height <= 0:
-                continue
             other = (boxes[b, 2] - boxes[b, 0]) * (boxes[b, 3] - boxes[b, 1])
-            if width * height > overlap * (area + other - width * height):
+            shared = width * height
+            if width > 0 and height > 0 and shared > overlap * (area + other - shared):
                 by[b] = a
-    return by
+            else:
+                left[others] = b
+                others += 1
+        count = others

@@ -10,9 +10,10 @@ from jaxtyping import Bool, Float, Integer
 
 from pipeline.hashmatch.channels import NONE
 from pipeline.hashmatch.config import HashMatchConfig
-from pipeline.hashmatch.detector import Detector, LevelMatches, Matching
+from pipeline.hashmatch.detector import Detector, Matching
 from pipeline.hashmatch.pyramid import Level
 from pipeline.hashmatch.templates import DISTANCE_UNIT, Templates, size_points
+from pipeline.hashmatch.window_grid import corner_at
 
 
 class PointsOfTests(NamedTuple):
@@ -34,15 +35,18 @@ def points_of_tests(detector: Detector, matching: Matching, row: int) -> PointsO
     found = matching.detections
     own = detector.objects[found.objects[row]]
     matched = next(one for one in matching.levels if one.level.index == found.levels[row])
-    corner = np.abs(matched.level.centers(matched.windows) - found.centers[row]).sum(axis=1).argmin()
-    return points_at_window(own, matched, int(found.templates[row]), matched.windows[corner], detector.config)
+    corner = corner_at(matched.level, found.centers[row])
+    return points_at_window(own, matched.level, matched.scale, int(found.templates[row]), corner, detector.config)
 
 
 def points_at_window(
-    own: Templates, matched: LevelMatches, template: int, corner: Integer[np.ndarray, "2"], config: HashMatchConfig
+    own: Templates, level: Level, scale: float, template: int, corner: Integer[np.ndarray, "2"], config: HashMatchConfig
 ) -> PointsOfTests:
-    """Points of the tests of a template at a window, given by its first pixel in the maps of its level."""
-    level, count = matched.level, int(own.normal_counts[template])
+    """Points of the tests of a template at a window, given by its first pixel in the maps of its level.
+
+    `scale` is s_w times the focal length of the templates by that of the image.
+    """
+    count = int(own.normal_counts[template])
     at_normals = own.normal_points[template, :count].astype(int)
     gradients = int(own.gradient_counts[template])
     at_gradients = own.gradient_points[template, :gradients].astype(int)
@@ -51,7 +55,7 @@ def points_at_window(
     x, y = (at_gradients + corner).T
     gradient = (level.gradient_response[y, x] & own.gradient_bits[template, :gradients]) != 0
     parts = [
-        (1, size_points(), _size(own, matched, template, corner, config)),
+        (1, size_points(), _size(own, level, scale, template, corner, config)),
         (2, at_normals, normal),
         (3, at_gradients, gradient),
         (4, at_normals, _distance(own, level, template, at_normals + corner, config)),
@@ -62,13 +66,13 @@ def points_at_window(
 
 
 def _size(
-    own: Templates, matched: LevelMatches, template: int, corner: np.ndarray, config: HashMatchConfig
+    own: Templates, level: Level, scale: float, template: int, corner: np.ndarray, config: HashMatchConfig
 ) -> Bool[np.ndarray, "5"]:
     near = own.nearest[template]
     behind = near - own.distance if config.size_from_surface and near > 0 else -0.5 * own.diameter
-    expected = matched.scale * own.distance + behind
+    expected = scale * own.distance + behind
     x, y = (size_points() + corner).T
-    measured, factor = matched.level.distance[y, x], np.sqrt(config.scale_factor)
+    measured, factor = level.distance[y, x], np.sqrt(config.scale_factor)
     return np.asarray((measured > 0) & (measured >= expected / factor) & (measured <= expected * factor))
 
 

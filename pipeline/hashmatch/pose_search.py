@@ -11,9 +11,6 @@ from pipeline.hashmatch.pyramid import Base
 from pipeline.ray_casting import Box
 from pipeline.scene import Model
 
-_SHORT = 8
-"""Steps of the swarms by which starts are compared before the best ones are refined."""
-
 _NARROW = Spread(rotation=0.06, sideways=0.0025, along=0.003)
 """Of the swarms that go on from where the short ones came to."""
 
@@ -49,17 +46,14 @@ class PoseSearch:
     def by_alignment(self, poses: Float[np.ndarray, "n 4 4"]) -> tuple[Integer[np.ndarray, "k"], np.ndarray]:
         """Score all poses, draw the best to the measured surface: rows of the best of these, and where they came to."""
         scores = self.coarse.scores(poses, boxes_of(self.coarse, poses))
-        most = self.config.drawn_per_instance * self.count
-        drawn = distinct(poses, scores, most, self.apart / 2, 2 * _PER_PLACE)
-        moved, scores = polished(self.coarse, poses[drawn], boxes_of(self.coarse, poses[drawn]), steps=3)
-        kept = distinct(moved, scores, self.config.starts_per_instance * self.count, self.apart, _PER_PLACE)
+        drawn = distinct(poses, scores, self.config.drawn_per_instance * self.count, self.apart / 2, 4 * _PER_PLACE)
+        moved, scores = polished(self.coarse, poses[drawn], boxes_of(self.coarse, poses[drawn]), steps=4)
+        kept = distinct(moved, scores, self.config.redrawn_per_instance * self.count, self.apart / 2, 2 * _PER_PLACE)
         return drawn[kept], moved[kept]
 
-    def by_short_swarms(self, poses: Float[np.ndarray, "n 4 4"]) -> tuple[Integer[np.ndarray, "k"], np.ndarray]:
-        """Rows of the poses whose short swarms do best, and where they came to."""
-        found = swarms(self.coarse, poses, self.config.particles, _SHORT, (*self.seed, 1))
-        moved = np.array([swarm.pose for swarm in found])
-        moved, scores = polished(self.fine, moved, boxes_of(self.fine, moved), steps=4)
+    def by_fine_alignment(self, poses: Float[np.ndarray, "n 4 4"]) -> tuple[Integer[np.ndarray, "k"], np.ndarray]:
+        """Rows of the poses that fit best when drawn to the surface more finely, and where they came to."""
+        moved, scores = polished(self.fine, poses, boxes_of(self.fine, poses), steps=5)
         kept = distinct(moved, scores, self.config.swarms_per_instance * self.count, self.apart, _PER_PLACE)
         return kept, moved[kept]
 

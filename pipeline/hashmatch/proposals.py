@@ -24,7 +24,7 @@ class Instance:
     row: int
     """Of the detection in the matching that it came from."""
     rough: Float[np.ndarray, "4 4"]
-    """P_{t,w}."""
+    """P_{t,w}, at the distance that the depth image says (see `Detector.pose`)."""
     pose: Float[np.ndarray, "4 4"]
     """After refinement."""
     score: float
@@ -48,9 +48,14 @@ def rows_to_refine(detector: Detector, matching: Matching, position: int) -> Int
     """
     found, config = matching.detections, detector.config
     if not config.refine:
-        return found.kept[found.objects[found.kept] == position]
+        return _kept(matching, position)
     rows = np.flatnonzero(found.objects == position)
     return rows[first_of_each_place(found.centers[rows], config.starts)]
+
+
+def _kept(matching: Matching, position: int) -> Integer[np.ndarray, "n"]:
+    found = matching.detections
+    return found.kept[found.objects[found.kept] == position]
 
 
 def first_of_each_place(centers: Float[np.ndarray, "n 2"], count: int) -> Integer[np.ndarray, "k"]:
@@ -64,9 +69,9 @@ def first_of_each_place(centers: Float[np.ndarray, "n 2"], count: int) -> Intege
 
 
 def rough_instances(detector: Detector, matching: Matching, position: int) -> list[Instance]:
-    """The detections of an object as they are."""
-    rows, ranking = rows_to_refine(detector, matching, position), matching.detections.ranking
-    poses = [detector.pose(matching, int(row)) for row in rows]
+    """The detections of an object that non-maxima suppression keeps, as they are."""
+    rows, ranking = _kept(matching, position), matching.detections.ranking
+    poses = [detector.pose(matching, int(row), measured=True) for row in rows]
     return [
         Instance(position, int(row), pose, pose, float(ranking[row])) for row, pose in zip(rows, poses, strict=True)
     ]
@@ -85,8 +90,8 @@ def propose(
     """Refined poses of an object, best first, some more than the `count` sought; before any is chosen.
 
     Rough poses are compared with the depth image. The best of them are drawn to the measured surface, the best of these
-    move as short swarms, and the best of those as whole ones. Where surfaces are claimed by others (`taken`), none fits.
-    The score of what they come to is taken at all pixels and half the tolerance, which tells similar objects apart.
+    once more at more pixels, and the best of those move as swarms. Where surfaces are claimed by others (`taken`), none
+    fits. The score of what they come to is taken at all pixels and half the tolerance, which tells similar objects apart.
     """
     rows = rows_to_refine(detector, matching, position)
     if not len(rows):
@@ -94,7 +99,7 @@ def propose(
     poses = np.array([detector.pose(matching, int(row), measured=True) for row in rows])
     search = PoseSearch(detector.config, model, matching.base, taken, poses, count, rescan)
     origins, moved = search.by_alignment(poses)
-    kept, moved = search.by_short_swarms(moved)
+    kept, moved = search.by_fine_alignment(moved)
     origins = origins[kept]
     final, moved = search.by_swarms(moved, keep_particles)
     whole = search.fit(1, 0.5)
@@ -104,6 +109,6 @@ def propose(
     )
     found = []
     for i, (row, pose) in enumerate(zip(rows[origins].tolist(), moved, strict=True)):
-        rough = detector.pose(matching, row)
+        rough = detector.pose(matching, row, measured=True)
         found.append(Instance(position, row, rough, pose, float(scores[i]), final[i], evidence[i], rescan))
     return sorted(found, key=lambda instance: -instance.score)

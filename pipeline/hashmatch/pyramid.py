@@ -10,14 +10,15 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Integer, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from pipeline.exceptions import FormatError, InputError
 from pipeline.hashmatch import channels
-from pipeline.hashmatch.config import TEMPLATE_SIZE, HashMatchConfig
-from pipeline.hashmatch.objectness import edgel_counts, edgels
+from pipeline.hashmatch.config import HashMatchConfig
+from pipeline.hashmatch.level import Level
+from pipeline.hashmatch.objectness import edgels
+from pipeline.hashmatch.response_maps import spread
 from pipeline.hashmatch.templates import Templates
-from pipeline.hashmatch.views import CENTER
 from pipeline.scene import Image
 
 LARGEST_LEVEL_PX = 4_000_000
@@ -40,46 +41,6 @@ class Base:
     masked: Bool[np.ndarray, "h w"]
     """Pixels that matching leaves out: no distance and no normal there."""
     focal_px: float
-
-
-@dataclass(frozen=True, eq=False)
-class Level:
-    """One level of the pyramid, all its maps with a border of `overhang` empty pixels."""
-
-    index: int
-    """0 is the image as it is, larger levels are positive."""
-    scale: float
-    """s_w."""
-    size: tuple[int, int]
-    """Width and height without the border."""
-    overhang: int
-    distance: Float[np.ndarray, "H W"]
-    """Metres from the camera centre, 0 where not measured."""
-    normal_bins: UInt8[np.ndarray, "H W"]
-    normal_response: UInt8[np.ndarray, "H W"]
-    """Bits of the normals around each pixel."""
-    gradient_response: UInt8[np.ndarray, "H W"]
-    hue: UInt8[np.ndarray, "H W"]
-    """Hue in steps of two degrees; NONE outside the image or without colour."""
-    edgel: Bool[np.ndarray, "H W"]
-    masked: Bool[np.ndarray, "H W"]
-    """Pixels at which the tests compare nothing."""
-
-    def windows(self, step: int) -> Integer[np.ndarray, "n 2"]:
-        """First pixels (x, y) of all windows, row by row, in the maps of this level."""
-        height, width = self.distance.shape
-        x = np.arange(0, width - TEMPLATE_SIZE + 1, step)
-        y = np.arange(0, height - TEMPLATE_SIZE + 1, step)
-        grid_x, grid_y = np.meshgrid(x, y)
-        return np.stack([grid_x.ravel(), grid_y.ravel()], axis=-1).astype(np.int32)
-
-    def centers(self, windows: Integer[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
-        """(u_w, v_w): centres of windows in pixels of the image itself."""
-        return (windows - self.overhang + CENTER + 0.5) / self.scale - 0.5
-
-    def edgel_counts(self, windows: Integer[np.ndarray, "n 2"]) -> Integer[np.ndarray, "n"]:
-        """Edgels in each window."""
-        return edgel_counts(self.edgel, windows[:, 0], windows[:, 1], TEMPLATE_SIZE)
 
 
 def check_image(image: Image) -> None:
@@ -156,6 +117,12 @@ def make_level(base: Base, index: int, config: HashMatchConfig) -> Level:
         resized = cv2.resize(values, size, interpolation=cv2.INTER_NEAREST_EXACT)
         return np.pad(resized, overhang, constant_values=empty)
 
+    def response(bits: np.ndarray) -> np.ndarray:
+        found = spread(bits, config.neighborhood_px)
+        found[masked] = 0
+        return found
+
+    masked = looked_up(base.masked.astype(np.uint8)) > 0
     bits, hue = _color_maps(base, size, config)
     return Level(
         index=index,
@@ -164,11 +131,12 @@ def make_level(base: Base, index: int, config: HashMatchConfig) -> Level:
         overhang=overhang,
         distance=looked_up(base.distance),
         normal_bins=looked_up(base.normal_bins, channels.NONE),
-        normal_response=channels.spread(looked_up(base.normal_bits), config.neighborhood_px),
-        gradient_response=channels.spread(np.pad(bits, overhang), config.neighborhood_px),
+        normal_response=response(looked_up(base.normal_bits)),
+        gradient_response=response(np.pad(bits, overhang)),
         hue=np.pad(hue, overhang, constant_values=channels.NONE),
         edgel=looked_up(base.edgel.astype(np.uint8)) > 0,
-        masked=looked_up(base.masked.astype(np.uint8)) > 0,
+        masked=masked,
+        neighborhood=config.neighborhood_px // 2 * 2 + 1,
     )
 
 

@@ -44,8 +44,7 @@ def estimate_instances(
     localize = config.task == "localization"
     most = {position: count if localize else MOST_INSTANCES for position, count in counts.items()}
     if not config.refine:
-        rough = [one for position in most for one in rough_instances(detector, matching, position)]
-        return rough, _best_of_each(rough, most)
+        return choose_rough(detector, matching, most)
     proposed: list[Instance] = []
     missing, taken = most, np.zeros(base.depth.shape, bool)
     for rescan in range(config.rescans + 1):
@@ -63,6 +62,14 @@ def estimate_instances(
     else:
         chosen = [one for one in chosen if one.score >= config.least_fit]
     return proposed, sorted(chosen, key=lambda instance: -instance.score)
+
+
+def choose_rough(
+    detector: Detector, matching: Matching, most: Mapping[int, int]
+) -> tuple[list[Instance], list[Instance]]:
+    """Detections as they are, without refinement: (all that are kept, the best of each object)."""
+    rough = [one for position in most for one in rough_instances(detector, matching, position)]
+    return rough, _best_of_each(rough, most)
 
 
 def _what_is_missing(

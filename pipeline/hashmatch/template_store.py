@@ -60,5 +60,6 @@ def _expected(own: Templates, config: HashMatchConfig) -> Float[np.ndarray, "t 2
 def size_ranges(points: TemplateStore, scale: float, factor: float) -> Float[np.ndarray, "o 2"]:
     """Distances (metres) at which some template of each object passes T1, at a scale of focal lengths alike."""
     expected = scale * points.expected[:, 0] + points.expected[:, 1]
-    ranges = [np.quantile(expected[points.objects == o], (0, 1)) for o in range(len(points.diameters))]
-    return np.array(ranges).reshape(-1, 2) * [1 / np.sqrt(factor), np.sqrt(factor)]
+    of_objects = [expected[points.objects == o] for o in range(len(points.diameters))]
+    nearest, farthest = np.array([(own.min(), own.max()) for own in of_objects]).reshape(-1, 2).T
+    return np.stack([nearest / np.sqrt(factor), farthest * np.sqrt(factor)], axis=-1)

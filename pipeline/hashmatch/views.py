@@ -1,9 +1,9 @@
-"""Rendered views of a model, from which templates are learned."""
+"""Views of a model from which templates are learned: what one is, and how it is rendered."""
 
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from pipeline.hashmatch import channels
 from pipeline.hashmatch.config import TEMPLATE_SIZE
@@ -18,8 +18,12 @@ _MARGIN_PX = 2.0
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A rendered view, TEMPLATE_SIZE pixels square."""
+    """An object at the distance of its templates, TEMPLATE_SIZE pixels square; outside the object all is 0."""
 
+    rotation: Float[np.ndarray, "3 3"]
+    """Camera from model; the centroid is on the optical axis."""
+    mask: Bool[np.ndarray, "w w"]
+    """Silhouette; it may have pixels without depth."""
     depth: Float[np.ndarray, "w w"]
     distance: Float[np.ndarray, "w w"]
     normals: Float[np.ndarray, "w w 3"]
@@ -55,5 +59,6 @@ def render_views(model: Model, rotations: Float[np.ndarray, "n 3 3"], distance: 
     for pose, rendering in zip(poses, render_depths(model, camera, poses, pixel_center=0.0), strict=True):
         depth = rendering.depth
         rgb = shade(model, camera, pose, 0.0).rgb
-        views.append(View(depth, channels.distances(depth, camera.K), channels.normals(depth, camera.K), rgb))
+        distances, normals = channels.distances(depth, camera.K), channels.normals(depth, camera.K)
+        views.append(View(pose[:3, :3], rendering.mask, depth, distances, normals, rgb))
     return views

@@ -5,7 +5,9 @@ import numpy as np
 from hashmatch_parts import CAMERA
 
 from pipeline.hashmatch import channels
+from pipeline.hashmatch.objectness import filled
 from pipeline.hashmatch.poses import rotation_to_ray
+from pipeline.hashmatch.response_maps import spread
 
 K = CAMERA.K
 
@@ -81,7 +83,7 @@ def test_the_response_map_has_all_bits_of_the_neighbourhood():
     slow = np.zeros_like(bits)
     for v, u in np.ndindex(*bits.shape):
         slow[v, u] = np.bitwise_or.reduce(bits[max(0, v - 2) : v + 3, max(0, u - 2) : u + 3], axis=None)
-    np.testing.assert_array_equal(channels.spread(bits, 5), slow)
+    np.testing.assert_array_equal(spread(bits, 5), slow)
 
 
 def test_black_counts_as_blue_and_gray_as_yellow():
@@ -93,5 +95,5 @@ def test_holes_are_filled_from_behind():
     depth = np.full((9, 12), 0.5, np.float32)
     depth[:, 6:] = 0.8
     depth[:, 5:7] = 0
-    assert (channels.filled(depth)[:, 6] == np.float32(0.8)).all()
-    assert channels.filled(depth).min() > 0
+    assert (filled(depth)[:, 6] == np.float32(0.8)).all()
+    assert filled(depth).min() > 0

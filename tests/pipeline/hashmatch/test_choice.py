@@ -8,7 +8,6 @@ import pytest
 from hashmatch_parts import CAMERA, COARSE, board, image_of, looking_at, model_of, other_part, part
 
 from pipeline.geometry import transform
-from pipeline.hashmatch import templates
 from pipeline.hashmatch.detector import Detector
 from pipeline.hashmatch.evidence import Evidence, gather
 from pipeline.hashmatch.fit import depth_fit
@@ -18,6 +17,7 @@ from pipeline.hashmatch.polish import polished
 from pipeline.hashmatch.pose_search import boxes_of, distinct
 from pipeline.hashmatch.proposals import first_of_each_place
 from pipeline.hashmatch.pyramid import prepare
+from pipeline.hashmatch.rendered_templates import learn
 from pipeline.rendering import render
 from pipeline.scene import Image, Model
 
@@ -61,6 +61,17 @@ def test_another_colour_speaks_less_for_a_pose():
     assert other.net < 0.6 * alike.net
     assert plain.net == pytest.approx(alike.net, rel=1e-6)
     assert evidence_of(part(color=(40, 60, 200)), replace(image, rgb=None), POSE)[0].net == pytest.approx(alike.net)
+
+
+def test_a_much_darker_surface_speaks_less_for_a_pose_and_a_shaded_one_does_not():
+    image = image_of((part(color=(190, 190, 190)), POSE))
+    alike, brighter, white = (
+        evidence_of(part(color=(value, value, value)), image, POSE)[0] for value in (160, 210, 255)
+    )
+    dark = evidence_of(part(color=(190, 190, 190)), image_of((part(color=(50, 50, 50)), POSE)), POSE)[0]
+    assert brighter.net > 0.95 * alike.net
+    assert white.net > 0.8 * alike.net
+    assert dark.net < 0.6 * alike.net
 
 
 def test_a_side_that_lies_anywhere_on_a_table_goes_on_beyond_its_outline():
@@ -158,7 +169,7 @@ def test_polishing_reaches_a_fraction_of_a_millimetre_and_never_lowers_the_score
 
 @pytest.fixture(scope="module")
 def detector() -> Detector:
-    return Detector([templates.learn(part(), COARSE, 300.0)], COARSE)
+    return Detector([learn(part(), COARSE, 300.0)], COARSE)
 
 
 def test_masked_pixels_count_neither_for_nor_against(detector: Detector):

@@ -17,7 +17,7 @@ def test_most_parts_of_two_demo_images_are_found(tmp_path: Path):
     targets = {key: [target for target in dataset.targets() if target.image == key] for key in keys}
     sought = sorted({target.obj_id for key in keys for target in targets[key]})
     config = HashMatchConfig(
-        views="sphere", in_plane="circle", skip_symmetric_views=True, angle_step_deg=20, cache=tmp_path
+        views="sphere", in_plane="circle", angle_step_deg=20, rescans=0, drawn_per_instance=150, cache=tmp_path
     )
     estimator = HashMatchEstimator.of_dataset(dataset, config, sought)
     found = []
@@ -38,5 +38,5 @@ def test_most_parts_of_two_demo_images_are_found(tmp_path: Path):
                 if estimate.obj_id == gt.obj_id
             ]  # fmt: skip
             found.append(min(errors, default=1.0) < 0.3)
-    assert len(found) >= 5
-    assert sum(found) >= 0.8 * len(found)
+    assert len(found) >= 10
+    assert sum(found) >= 0.7 * len(found)

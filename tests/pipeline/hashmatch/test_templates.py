@@ -10,14 +10,16 @@ from pipeline.exceptions import FormatError, InputError
 from pipeline.hashmatch import templates
 from pipeline.hashmatch.channels import normal_bins
 from pipeline.hashmatch.config import TEMPLATE_SIZE, HashMatchConfig
+from pipeline.hashmatch.rendered_templates import learn
 from pipeline.hashmatch.view_points import normal_points, scattered
 from pipeline.hashmatch.viewpoints import in_plane_angles, view_rotations, without_symmetric
+from pipeline.hashmatch.views import centroid_of, render_views
 from pipeline.scene import Model
 
 
 @pytest.fixture(scope="module")
 def learned() -> templates.Templates:
-    return templates.learn(part(), COARSE, 300.0)
+    return learn(part(), COARSE, 300.0)
 
 
 def test_the_thesis_has_2916_templates_of_an_object():
@@ -56,14 +58,14 @@ def test_every_silhouette_fits_the_window_and_the_nearest_fills_it(learned: temp
     margin = np.minimum(learned.boxes[:, :2], TEMPLATE_SIZE - 1 - learned.boxes[:, 2:].astype(int))
     assert margin.min() >= 1
     assert learned.areas.min() > 1000
-    radius = np.linalg.norm(part().vertices - templates.centroid_of(part()), axis=1).max()
+    radius = np.linalg.norm(part().vertices - centroid_of(part()), axis=1).max()
     seen = 300.0 * radius / np.sqrt(learned.distance**2 - radius**2)
     assert seen == pytest.approx(TEMPLATE_SIZE / 2 - 2)
 
 
 def test_a_turned_template_shows_what_a_rendering_shows(learned: templates.Templates):
     template = 3 * 5 + 2  # a view turned by 30 degrees
-    view = templates.render_views(part(), learned.rotations[[template]].astype(float), learned.distance, 300.0)[0]
+    view = render_views(part(), learned.rotations[[template]].astype(float), learned.distance, 300.0)[0]
     x, y = templates.reference_points(COARSE.grid).T
     stored = templates.stored_distances(view.distance[y, x], learned.distance)
     both = (stored != templates.NO_DISTANCE) & (learned.grid_distances[template] != templates.NO_DISTANCE)
@@ -75,9 +77,7 @@ def test_a_turned_template_shows_what_a_rendering_shows(learned: templates.Templ
 
 
 def test_points_lie_on_the_object_and_are_spread(learned: templates.Templates):
-    view = templates.render_views(part(), learned.rotations[[1]].astype(float), learned.distance, 300.0)[
-        0
-    ]  # not turned
+    view = render_views(part(), learned.rotations[[1]].astype(float), learned.distance, 300.0)[0]  # not turned
     points = learned.normal_points[1, : learned.normal_counts[1]]
     assert len(points) == COARSE.points
     assert (view.depth[points[:, 1], points[:, 0]] > 0).all()
@@ -107,7 +107,7 @@ def test_15_objects_need_less_than_a_gibibyte(learned: templates.Templates):
 
 
 def test_the_pose_of_a_template_has_the_centroid_on_the_axis(learned: templates.Templates):
-    centroid = templates.centroid_of(part())
+    centroid = centroid_of(part())
     assert learned.pose(7)[:3, :3] @ centroid + learned.pose(7)[:3, 3] == pytest.approx([0, 0, learned.distance])
 
 
@@ -115,15 +115,15 @@ def test_models_that_cannot_be_rendered_are_refused():
     model = part()
     points = replace(model, faces=np.zeros((0, 3), np.int32))
     with pytest.raises(FormatError, match=r"object 1: its mesh has no faces; .*export a triangle mesh"):
-        templates.learn(points, COARSE, 300.0)
+        learn(points, COARSE, 300.0)
     broken = replace(model, vertices=model.vertices * np.nan)
     with pytest.raises(FormatError, match="object 1: its mesh has vertices that are not finite"):
-        templates.learn(broken, COARSE, 300.0)
+        learn(broken, COARSE, 300.0)
     with pytest.raises(InputError, match=r"its diameter is 0\.0 m; correct models_info\.json"):
-        templates.learn(replace(model, diameter=0.0), COARSE, 300.0)
+        learn(replace(model, diameter=0.0), COARSE, 300.0)
 
 
 def test_without_colour_templates_say_so():
     config = replace(COARSE, angle_step_deg=90, in_plane_limit_deg=0)
-    assert not templates.learn(part(color=None), config, 300.0).colored
-    assert templates.learn(part(), config, 300.0).colored
+    assert not learn(part(color=None), config, 300.0).colored
+    assert learn(part(), config, 300.0).colored
