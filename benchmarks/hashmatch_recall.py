@@ -179,14 +179,15 @@ def _hit(dataset: Dataset, image: Image, gt: GroundTruth, visible: float, poses:
 
 
 def _report(console: Console, key: ImageKey, hits: list[Hit], found: Found) -> None:
-    seconds = {**found.matching.seconds, **found.seconds}
     counted = f"{sum(hit.found for hit in hits)}/{len(hits)} found" if hits else f"{len(found.chosen)} estimates"
     seen = [hit for hit in hits if hit.visible > 0.6]
     text = f"scene {key.scene_id}, image {key.im_id}: {counted}"
     text += f", of those > 60 % visible {sum(hit.found for hit in seen)}/{len(seen)}" if hits else ""
     if not hits:
         text += " (" + ", ".join(f"{one.score:.2f}" for one in found.chosen) + ")"
-    console.print(f"{text}; wall s: {', '.join(f'{stage} {value:.1f}' for stage, value in seconds.items())}")
+    for kind, seconds in (("core-s", found.matching.seconds), ("wall s", found.seconds)):
+        text += f"; {kind}: " + ", ".join(f"{stage} {value:.1f}" for stage, value in seconds.items())
+    console.print(text)
 
 
 def _explain(

@@ -33,7 +33,7 @@ class Found:
     chosen: list[Instance]
     """The instances, best first."""
     seconds: dict[str, float]
-    """Wall time: "matching", "refinement"; stages of matching are in `matching.seconds`."""
+    """Wall time: "matching", "refinement"; processor time of the stages of matching is in `matching.seconds`."""
 
 
 class HashMatchEstimator:

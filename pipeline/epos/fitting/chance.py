@@ -6,7 +6,7 @@ from pipeline.epos.fitting.config import FittingConfig
 def chance_support(pixels: int, correspondences: int, tau_px: float) -> float:
     """Quality, as a sum over pixels, of the best pose that a search finds among random correspondences.
 
-    Fitted to what was measured (`benchmarks/fitting.py`): the largest of 10 searches with 30 to 2000 pixels, each with 1
+    Fitted to what was measured (`benchmarks/fitting_chance.py`): the largest of 10 searches with 30 to 2000 pixels, each with 1
     to 12 random points of a surface, at inlier thresholds of 2 to 8 pixels. The fit is off by 15 % (one standard
     deviation), and by a third at most. It hardly grows with the number of pixels: more of them are not explained by more.
 
