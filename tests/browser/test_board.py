@@ -104,9 +104,10 @@ def test_a_file_that_is_handed_in_is_evaluated_and_kept_across_a_restart(
 def test_bars_of_two_methods_open_the_targets_of_an_object(page: OpenedPage, half: Evaluation):
     page.show(**{"board.open": 1, "board.score": "mssd"})
     page.page.locator(".pi-board tr", has_text="half").locator(".pi-second").click()
-    page.eventually(lambda: page.page.locator(".pi-bar-line").count() == 2)
-    shown = page.page.locator(".pi-bar-line").first.locator(".pi-value").all_inner_texts()
-    assert shown == ["100.0", f"{100 * half.per_object[1].mssd:.1f}"]
+    of_both = ["100.0", f"{100 * half.per_object[1].mssd:.1f}"]
+    first = page.page.locator(".pi-bar-line").first.locator(".pi-value")
+    page.eventually(lambda: first.all_inner_texts() == of_both)
+    assert page.page.locator(".pi-bar-line").count() == 2
     assert page.page.locator(".pi-chart").count() >= 4
     page.page.locator(".pi-bar-line").first.locator(".pi-track").nth(1).click()
     page.eventually(lambda: page.address().get("method") == "1")

@@ -4,6 +4,7 @@ import signal
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from multiprocessing import resource_tracker
 from typing import Any
 
 import numpy as np
@@ -143,6 +144,7 @@ def batches(
 @contextmanager
 def _uninterrupted() -> Iterator[None]:
     """Hold Ctrl-C back; processes started inside never get it: to stop them is our business, after the step."""
+    resource_tracker.ensure_running()  # it is started with the first process, and lets Ctrl-C through again then
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
