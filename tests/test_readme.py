@@ -85,9 +85,9 @@ def problem_of_make(arguments: list[str]) -> str | None:
 
 
 def problem_of_inspector(arguments: list[str]) -> str | None:
-    options = [argument.split("=")[0] for argument in arguments if argument.startswith("-")]
+    options = [argument.split("=")[0] for argument in arguments if re.match(r"-+[a-z]", argument)]
     subcommand = arguments[0] if arguments and not arguments[0].startswith("-") else ""
-    if subcommand == "run":  # of a method
+    if subcommand in ("run", "train"):  # of a method
         subcommand = " ".join(arguments[:2])
     shown = inspector_help(subcommand)
     if shown is None:
